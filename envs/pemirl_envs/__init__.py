@@ -1,0 +1,95 @@
+"""MuJoCo task families for meta inverse RL, with one description and three faces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dm_control.rl.control import Environment
+from tensordict import TensorDict
+
+from pemirl_envs.control import load as _load_task
+from pemirl_envs.gym import register_tasks
+from pemirl_envs.simulation import SimulationError
+from pemirl_envs.tasks import TASKS, Layout, Task, get_task
+from pemirl_envs.torchrl import TaskEnv
+
+
+def make(
+    name: str,
+    num_envs: int = 1,
+    *,
+    split: str = "train_100",
+    seed: int | None = None,
+    num_threads: int | None = None,
+) -> TaskEnv:
+    """Makes the TorchRL face of a task: see :class:`TaskEnv`.
+
+    Raises:
+        ValueError: unknown task or split, or a count that is not positive.
+    """
+    return TaskEnv(get_task(name), num_envs, split=split, seed=seed, num_threads=num_threads)
+
+
+def load(
+    domain_name: str,
+    task_name: str,
+    task_kwargs: dict[str, Any] | None = None,
+    environment_kwargs: dict[str, Any] | None = None,
+    visualize_reward: bool = False,
+) -> Environment:
+    """Loads the dm_control face of a task, with the arguments of ``dm_control.suite.load``.
+
+    Args:
+        domain_name: the domain, such as ``"point_maze"``.
+        task_name: the variant, such as ``"left"``.
+        task_kwargs: ``random`` (an int or a ``RandomState``), ``split``, ``time_limit`` in seconds,
+            and ``parameters``, which fixes the task of every episode: ``{"goal": (0.3, 0.5)}``.
+        environment_kwargs: keywords of ``control.Environment``, such as ``flat_observation``.
+        visualize_reward: accepted for compatibility, without effect: dm_control highlights rewards
+            in (0, 1], and these are negative costs.
+
+    Raises:
+        ValueError: unknown domain, task or split, or illegal parameters.
+    """
+    del visualize_reward
+    task = get_task(f"{domain_name}/{task_name}")
+    return _load_task(task, **(task_kwargs or {}), environment_kwargs=environment_kwargs)
+
+
+def task_parameters(name: str, split: str) -> TensorDict:
+    """The parameters of all ``K`` tasks of a finite split, batch size ``[K]``.
+
+    >>> task_parameters("point_maze/left", "test")["goal"].shape
+    torch.Size([30, 2])
+
+    Raises:
+        ValueError: unknown task or split, or a split that is a distribution.
+    """
+    parameters = get_task(name).task_set(split)
+    size = len(next(iter(parameters.values())))
+    return TensorDict(parameters, batch_size=[size])
+
+
+def layout(name: str) -> Layout:
+    """The plan (walls, start, bounds) of a planar task.
+
+    Raises:
+        ValueError: unknown task, or one that is not planar.
+    """
+    return get_task(name).layout()
+
+
+register_tasks()
+
+__all__ = [
+    "TASKS",
+    "Layout",
+    "SimulationError",
+    "Task",
+    "TaskEnv",
+    "get_task",
+    "layout",
+    "load",
+    "make",
+    "task_parameters",
+]

@@ -1,0 +1,157 @@
+"""N episodes of a task on a batch of simulations: reset, act, advance, reward, observe."""
+
+from __future__ import annotations
+
+import torch
+from torch import Generator, Tensor
+
+from pemirl_envs.simulation import MujocoBatch, State
+from pemirl_envs.tasks import Parameters, Task
+
+
+def draw_episode(
+    task: Task, n: int, split: str, given: Parameters | None, generator: Generator
+) -> tuple[dict[str, Tensor], State]:
+    """Draws the parameters and the initial states of ``n`` episodes.
+
+    Parameters are drawn even if they are given (and checked by the caller), so that the states do
+    not depend on whether they are.
+    """
+    parameters = task.sample_parameters(n, split, generator)
+    if given is not None:
+        parameters = {name: given[name].to(old) for name, old in parameters.items()}
+    return parameters, task.initial_state(parameters, generator)
+
+
+def check_action(action: Tensor, expected: tuple[int, ...]) -> Tensor:
+    """Which rows of an action ``[..., A]`` are finite, bool ``[...]``.
+
+    Raises:
+        ValueError: the action does not have the expected shape.
+    """
+    if action.shape != expected:
+        raise ValueError(f"expected an action of shape {expected}, got {tuple(action.shape)}")
+    return torch.isfinite(action).all(-1)
+
+
+class Episodes:
+    """``N`` episodes of one task, each with its own parameters; the engine of the batched faces.
+
+    Args:
+        task: the task.
+        num_envs: the number of episodes, N.
+        split: the set of tasks from which resets draw.
+        seed: seeds everything that is random; ``None`` takes one from the operating system.
+        num_threads: threads that step the simulations; see
+            :class:`~pemirl_envs.simulation.MujocoBatch`.
+
+    Attributes:
+        parameters: the task parameters of each episode. Replaced by resets, never edited.
+        step_count: control steps since the reset, int64 ``[N]``. Replaced, never edited.
+        generator: the source of all randomness.
+
+    Raises:
+        ValueError: unknown split, or a count that is not positive.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        num_envs: int,
+        *,
+        split: str,
+        seed: int | None = None,
+        num_threads: int | None = None,
+    ) -> None:
+        if split not in task.splits:
+            raise ValueError(f"unknown split {split!r}; expected one of {task.splits}")
+        self.task = task
+        self.split = split
+        self.simulation = MujocoBatch(task.model, num_envs, num_threads, task.stage)
+        self.generator = Generator()
+        self.seed(seed)
+        self.parameters: dict[str, Tensor] = {}
+        self.step_count = torch.zeros(num_envs, dtype=torch.int64)
+
+    def seed(self, seed: int | None) -> None:
+        """Restarts the random stream; ``None`` takes a seed from the operating system."""
+        if seed is None:
+            self.generator.seed()
+        else:
+            self.generator.manual_seed(seed)
+
+    def observe(self) -> Tensor:
+        """The observations, float32 ``[N, D]``; new memory."""
+        return self.task.observe(self.simulation.field)
+
+    def truncated(self) -> Tensor:
+        """Which episodes have reached the horizon, bool ``[N]``."""
+        return self.step_count >= self.task.horizon
+
+    def reset(self, mask: Tensor | None = None, parameters: Parameters | None = None) -> None:
+        """Begins new episodes in the simulations of ``mask`` (bool ``[N]``; ``None``: all).
+
+        Draws for all simulations and keeps the draws of the mask: the random stream depends on
+        neither the mask nor on what is given.
+
+        Args:
+            mask: the simulations to reset.
+            parameters: task parameters ``[N, ...]``, of which the rows in ``mask`` are used;
+                ``None`` draws them from the split.
+
+        Raises:
+            ValueError: illegal parameters, or a first reset that leaves simulations out.
+        """
+        if mask is not None and mask.all():
+            mask = None
+        if mask is not None and not self.parameters:
+            raise ValueError("the first reset must cover every simulation; got a partial mask")
+        n = self.simulation.num_sims
+        if parameters is not None:
+            self.task.validate_parameters(parameters, n, mask)
+        drawn, state = draw_episode(self.task, n, self.split, parameters, self.generator)
+        self.simulation.reset(mask)
+        self.simulation.write(state, mask)
+        if mask is None:
+            self.parameters = drawn
+            self.step_count = torch.zeros_like(self.step_count)
+        else:
+            self.parameters = {
+                name: torch.where(mask.view(-1, *[1] * (new.ndim - 1)), new, self.parameters[name])
+                for name, new in drawn.items()
+            }
+            self.step_count = self.step_count.masked_fill(mask, 0)
+
+    def step(self, action: Tensor) -> tuple[Tensor, dict[int, str]]:
+        """Acts once in every episode.
+
+        Args:
+            action: ``[N, A]``, clipped to the task's action bounds.
+
+        Returns:
+            The rewards, float32 ``[N]``, and the reasons of the simulations that failed, by index.
+            A failed simulation has not moved, and its reward is NaN.
+
+        Raises:
+            ValueError: the action does not have the shape [N, A].
+            RuntimeError: there has been no reset yet.
+        """
+        if not self.parameters:
+            raise RuntimeError("reset the environment before its first step")
+        low, high = self.task.action_bounds
+        finite = check_action(action, (self.simulation.num_sims, len(low)))
+        healthy = None if finite.all() else finite
+        failures = {i: "the action is not finite" for i in (~finite).nonzero().flatten().tolist()}
+        control = torch.clamp(action.detach(), low, high)
+        reward = self.task.reward(self.simulation.field, control, self.parameters)
+        self.simulation.write(self.task.control(control), healthy)
+        failures |= self.simulation.step(self.task.n_sub_steps, healthy)
+        if failures:
+            healthy = torch.ones_like(finite)
+            healthy[list(failures)] = False
+            reward = reward.masked_fill(~healthy, torch.nan)
+        disturbed = self.task.disturb(self.simulation.field, self.generator)
+        if disturbed:
+            self.simulation.write(disturbed, healthy)
+        self.step_count = self.step_count + (1 if healthy is None else healthy.long())
+        return reward, failures

@@ -1,0 +1,153 @@
+"""Simulations on MuJoCo's native batch: N states stepped on a pool of threads."""
+
+from __future__ import annotations
+
+import os
+
+import mujoco
+import mujoco.batch
+import numpy as np
+import torch
+from torch import Tensor
+
+from pemirl_envs.simulation.base import State
+
+STATE_FIELDS = ("time", "qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat", "qfrc_applied")
+_WARNINGS = [w.name.removeprefix("mjWARN_") for w in mujoco.mjtWarning.__members__.values()]
+
+
+def available_cpus() -> int:
+    """The number of CPUs that this process may run on (its affinity mask, where there is one)."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class MujocoBatch:
+    """``N`` simulations of one MuJoCo model (:class:`~pemirl_envs.simulation.Simulation`).
+
+    Results are bit-identical at any number of threads.
+
+    Args:
+        model: the model, copied.
+        num_sims: the number of simulations, N.
+        num_threads: threads that step them, the caller's included. Default: one for each CPU in
+            the affinity mask of the process. Never more than ``num_sims``.
+        stage: the forward stage (``mujoco.mjtStage``) to compute whenever the state has changed,
+            so that the derived fields that it fills can be read. Costs time; the default computes
+            none, which leaves the state fields alone readable.
+
+    Raises:
+        ValueError: ``num_sims`` or ``num_threads`` is not positive.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        num_sims: int,
+        num_threads: int | None = None,
+        stage: mujoco.mjtStage = mujoco.mjtStage.mjSTAGE_NONE,
+    ) -> None:
+        num_threads = available_cpus() if num_threads is None else num_threads
+        if num_sims < 1 or num_threads < 1:
+            raise ValueError(
+                f"expected num_sims >= 1 and num_threads >= 1, got {num_sims} and {num_threads}"
+            )
+        self._batch = mujoco.batch.Batch(model, num_sims, min(num_threads, num_sims))
+        self._stage = int(stage)
+        self._computes_derived = stage != mujoco.mjtStage.mjSTAGE_NONE
+        self._fields: dict[str, Tensor] = {}
+
+    @property
+    def num_sims(self) -> int:
+        """The number of simulations, N."""
+        return int(self._batch.nsim)
+
+    @property
+    def num_threads(self) -> int:
+        """The number of threads that step the simulations, the caller's included."""
+        return int(self._batch.nthread)
+
+    @property
+    def state(self) -> Tensor:
+        """A copy of every simulation's ``mjSTATE_INTEGRATION`` row, float64 ``[N, n_state]``."""
+        return torch.from_numpy(self._batch.state.copy())
+
+    def field(self, name: str) -> Tensor:
+        """The current values of an ``MjData`` field, ``[N, ...]``: a live view; read, do not keep.
+
+        Raises:
+            ValueError: MuJoCo does not bind the field, or it is a derived one (``xpos``,
+                ``sensordata``, ...) and this batch computes no stage.
+        """
+        if name not in self._fields:
+            self._fields[name] = self._bind(name)
+        return self._fields[name]
+
+    def _bind(self, name: str) -> Tensor:
+        if name in STATE_FIELDS:
+            return torch.from_numpy(self._batch.bind(name))
+        if not self._computes_derived:
+            raise ValueError(
+                f"the field {name!r} is derived from the state, and this batch computes no stage: "
+                f"pass stage=mujoco.mjtStage.mjSTAGE_POS (or _VEL, _ACC), or read one of "
+                f"{', '.join(STATE_FIELDS)}"
+            )
+        values = self._batch.bind(name)
+        self._batch.forward(stage=self._stage)  # a newly bound field is zero until the next call
+        # Shares the memory that MuJoCo refreshes; torch refuses arrays flagged read-only.
+        return torch.from_numpy(np.lib.stride_tricks.as_strided(values, writeable=True))
+
+    def write(self, state: State, mask: Tensor | None = None) -> None:
+        """Writes state fields of the simulations in ``mask`` (bool ``[N]``; ``None``: all).
+
+        Raises:
+            ValueError: a field is not a state field.
+        """
+        for name, values in state.items():
+            if name not in STATE_FIELDS:
+                raise ValueError(
+                    f"cannot write the field {name!r}; expected one of {', '.join(STATE_FIELDS)}"
+                )
+            field = self.field(name)
+            if mask is None:
+                field.copy_(values)
+            else:
+                field[mask] = values[mask].to(field.dtype)
+        if self._computes_derived and state.keys() - {"ctrl"}:
+            self._batch.forward(_ids(mask), stage=self._stage)
+
+    def step(self, n_sub_steps: int, mask: Tensor | None = None) -> dict[int, str]:
+        """Advances the simulations in ``mask``; see :class:`~pemirl_envs.simulation.Simulation`.
+
+        MuJoCo resets a simulation whose state turns bad (non-finite or huge) to the model's
+        defaults and goes on; its warning counters alone tell. Such a simulation counts as failed.
+        """
+        before = self._batch.state.copy()
+        failures: dict[int, str] = {}
+        try:
+            self._batch.step(_ids(mask), n_sub_steps, self._stage)
+        except mujoco.batch.SimulationError as error:
+            failures = {int(i): self._batch.error(int(i)) for i in error.ids}
+        counts = self._batch.warning[..., 1]
+        if counts.any():
+            for i in np.flatnonzero(counts.any(1)):
+                names = ", ".join(_WARNINGS[w] for w in np.flatnonzero(counts[i]))
+                failures[int(i)] = f"MuJoCo warned of {names}"
+        if failures:
+            self._restore(before, sorted(failures))
+        return failures
+
+    def _restore(self, before: np.ndarray, ids: list[int]) -> None:
+        self._batch.state[ids] = before[ids]
+        self._batch.warning[ids] = 0
+        if self._computes_derived:
+            self._batch.forward(np.asarray(ids, np.int32), stage=self._stage)
+
+    def reset(self, mask: Tensor | None = None) -> None:
+        """Puts the simulations in ``mask`` (bool ``[N]``; ``None``: all) into the default state."""
+        self._batch.reset(_ids(mask), stage=self._stage)
+
+
+def _ids(mask: Tensor | None) -> np.ndarray | None:
+    return None if mask is None else mask.numpy()

@@ -1,0 +1,91 @@
+"""Development sessions: ``nox`` alone runs the tests, the linters and the type checker."""
+
+import os
+import tempfile
+from ctypes.util import find_library
+from pathlib import Path
+
+import nox
+
+nox.options.sessions = ["tests", "lint", "types"]
+nox.options.default_venv_backend = "virtualenv"
+nox.options.reuse_venv = "yes"
+
+CONSTRAINTS = Path(__file__).with_name("constraints.txt")
+HEADLESS = {"MUJOCO_GL": "osmesa" if find_library("OSMesa") else "disable"} | {
+    name: value for name, value in os.environ.items() if name == "MUJOCO_GL"
+}
+DETERMINISTIC = HEADLESS | {"CUDA_VISIBLE_DEVICES": ""}
+
+SMOKE = """
+import pathlib
+import pemirl_envs, pemirl_trl
+for package in (pemirl_envs, pemirl_trl):
+    assert "site-packages" in pathlib.Path(package.__file__).parts, package.__file__
+batch = pemirl_envs.make("point_maze/left", num_envs=4).rollout(3)
+assert batch.shape == (4, 3), batch.shape
+environment = pemirl_envs.load("point_maze", "left")
+assert environment.reset().first()
+print("pemirl-trl", pemirl_trl.__version__, "works outside its checkout")
+"""
+
+
+def install(session: nox.Session, *requirements: str) -> None:
+    """Install the tested versions."""
+    session.install("-c", str(CONSTRAINTS), *requirements)
+
+
+@nox.session
+def tests(session: nox.Session) -> None:
+    """Run the fast tests."""
+    install(session, "-e", ".[test]")
+    session.run("pytest", *session.posargs, env=DETERMINISTIC)
+
+
+@nox.session
+def long(session: nox.Session) -> None:
+    """Run the tests that take minutes."""
+    install(session, "-e", ".[test]")
+    session.run("pytest", "-m", "long", *session.posargs, env=DETERMINISTIC)
+
+
+@nox.session
+def lint(session: nox.Session) -> None:
+    """Check style, formatting and the direction of imports."""
+    install(session, "ruff", "import-linter")
+    session.run("ruff", "check")
+    session.run("ruff", "format", "--check")
+    session.run("lint-imports", env={"PYTHONPATH": os.pathsep.join(["src", "envs"])})
+
+
+@nox.session
+def types(session: nox.Session) -> None:
+    """Check types."""
+    install(session, "-e", ".[recipes,minari]", "mypy")
+    session.run("mypy", *session.posargs)
+
+
+@nox.session
+def quickstart(session: nox.Session) -> None:
+    """Run the quickstart as a user does; arguments are Hydra overrides."""
+    install(session, ".[recipes]")
+    session.run("python", "recipes/quickstart.py", *session.posargs, env=HEADLESS)
+
+
+@nox.session
+def bench(session: nox.Session) -> None:
+    """Measure throughput and the cost of an update."""
+    install(session, ".[test]")
+    for benchmark in ("stepping", "training"):
+        session.run("python", f"benchmarks/{benchmark}.py", *session.posargs, env=HEADLESS)
+
+
+@nox.session(reuse_venv=False)
+def build(session: nox.Session) -> None:
+    """Build the wheel from the source distribution and use it outside the checkout."""
+    install(session, "build")
+    with tempfile.TemporaryDirectory() as outside:
+        session.run("python", "-m", "build", "--outdir", outside)
+        install(session, *map(str, Path(outside).glob("*.whl")))
+        session.chdir(outside)
+        session.run("python", "-c", SMOKE, env=DETERMINISTIC)

@@ -1,0 +1,282 @@
+"""Expert demonstrations: schema, validation, files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from numpy.typing import ArrayLike
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from torch import Tensor
+
+from pemirl_trl.checkpoint import read_tensors, write_tensors
+from pemirl_trl.data.minari_format import read_minari, write_minari
+from pemirl_trl.data.validation import check_demonstrations, stack_episodes
+
+__all__ = ["DemonstrationDataset", "Provenance"]
+
+_KIND = "demonstrations"
+_SCHEMA_VERSION = 1
+Index = int | slice | Sequence[int] | Tensor
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where demonstrations come from.
+
+    Args:
+        environment: Name of the task that was demonstrated.
+        seed: Seed of the collection.
+        expert_return: Mean return of the expert on the true reward.
+        code_version: Version or commit of the code that collected them.
+        command: The command that did.
+        extra: Anything else, as strings.
+    """
+
+    environment: str = "unknown"
+    seed: int | None = None
+    expert_return: float | None = None
+    code_version: str = "unknown"
+    command: str = "unknown"
+    extra: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class DemonstrationDataset:
+    """M demonstrations with one fixed horizon T, in no particular order and without labels.
+
+    ============== ============== ==============================================================
+    field          shape, dtype   what it is
+    ============== ============== ==============================================================
+    observation    [M, T+1, S]    float32; the last one is what the last action led to
+    action         [M, T, A]      float32
+    provenance                    :class:`Provenance`
+    task           batch_size [M] ground-truth task parameters, or None. For metrics only: they
+                                  never enter :meth:`trajectories`, so no learner sees them.
+    ============== ============== ==============================================================
+
+    Construction validates; :meth:`from_episodes` takes arrays of any floating or integer dtype.
+
+    Example:
+        >>> import numpy as np
+        >>> episode = np.zeros((101, 6)), np.zeros((100, 2))   # observations, actions
+        >>> demos = DemonstrationDataset.from_episodes([episode, episode])
+        >>> len(demos), demos.horizon, demos.observation_dim, demos.action_dim
+        (2, 100, 6, 2)
+        >>> demos.trajectories([0])["next", "observation"].shape
+        torch.Size([1, 100, 6])
+    """
+
+    observation: Tensor
+    action: Tensor
+    provenance: Provenance = field(default_factory=Provenance)
+    task: TensorDictBase | None = None
+
+    def __post_init__(self) -> None:
+        self.validate()
+
+    def validate(self) -> None:
+        """Check the schema above.
+
+        Raises:
+            ValueError: NaN or infinity, an off-by-one, wrong dimensions or dtypes; where a single
+                episode is at fault, the message names it.
+        """
+        check_demonstrations(self.observation, self.action, self.task)
+
+    def __len__(self) -> int:
+        """Return M, the number of demonstrations."""
+        return self.action.shape[0]
+
+    @property
+    def horizon(self) -> int:
+        """T, the number of actions of every demonstration."""
+        return self.action.shape[1]
+
+    @property
+    def observation_dim(self) -> int:
+        """Dimension S of an observation."""
+        return self.observation.shape[2]
+
+    @property
+    def action_dim(self) -> int:
+        """Dimension A of an action."""
+        return self.action.shape[2]
+
+    def __getitem__(self, index: Index) -> DemonstrationDataset:
+        """Return the chosen demonstrations (an int chooses one) as a dataset."""
+        rows = self._rows(index)
+        task = None if self.task is None else self.task[rows]
+        return DemonstrationDataset(
+            self.observation[rows], self.action[rows], self.provenance, task
+        )
+
+    def trajectories(self, index: Index | None = None) -> TensorDict:
+        """Return demonstrations as a learner may see them, in TorchRL's layout.
+
+        Args:
+            index: int, slice, list, index tensor or mask; None means all, as views of the dataset.
+
+        Returns:
+            TensorDict with batch_size ``[n]`` (not ``[n, T]``: an encoder reduces time) and leaves
+            ``observation [n, T, S]``, ``action [n, T, A]``, ``("next", "observation") [n, T, S]``.
+        """
+        rows = slice(None) if index is None else self._rows(index)
+        observation, action = self.observation[rows], self.action[rows]
+        return TensorDict(
+            {
+                "observation": observation[:, :-1],
+                "action": action,
+                "next": {"observation": observation[:, 1:]},
+            },
+            batch_size=[action.shape[0]],
+        )
+
+    def tasks(self, index: Index | None = None) -> TensorDictBase:
+        """Return ground-truth task parameters with batch_size ``[n]``, for metrics only.
+
+        Raises:
+            ValueError: the dataset has none.
+        """
+        if self.task is None:
+            raise ValueError("these demonstrations carry no ground-truth task parameters")
+        return self.task if index is None else self.task[self._rows(index)]
+
+    def _rows(self, index: Index) -> Tensor:
+        return torch.arange(len(self), device=self.action.device)[index].reshape(-1)
+
+    # --- from elsewhere ------------------------------------------------------------------------
+
+    @classmethod
+    def from_episodes(
+        cls,
+        episodes: Iterable[tuple[ArrayLike, ArrayLike]],
+        provenance: Provenance | None = None,
+        task: Mapping[str, ArrayLike] | TensorDictBase | None = None,
+    ) -> DemonstrationDataset:
+        """Build a dataset of ``(observation [T+1, S], action [T, A])`` pairs of arrays or tensors.
+
+        Args:
+            episodes: one pair per demonstration, all of one horizon.
+            provenance: where they come from.
+            task: ground truth, a mapping of name to ``[M, ...]``.
+
+        Raises:
+            ValueError: mixed horizons or dimensions, an off-by-one, NaN; the episodes are named.
+        """
+        pairs = [
+            (torch.as_tensor(o, dtype=torch.float32), torch.as_tensor(a, dtype=torch.float32))
+            for o, a in episodes
+        ]
+        observation, action = stack_episodes(pairs)
+        if task is not None and not isinstance(task, TensorDictBase):
+            values = {name: torch.as_tensor(value) for name, value in task.items()}
+            task = TensorDict(values, batch_size=[len(pairs)])
+        return cls(observation, action, provenance or Provenance(), task)
+
+    @classmethod
+    def from_rollouts(
+        cls,
+        rollouts: TensorDictBase,
+        provenance: Provenance,
+        task_key: NestedKey | None = "task",
+    ) -> DemonstrationDataset:
+        """Build a dataset of whole episodes collected by TorchRL.
+
+        Args:
+            rollouts: batch_size ``[M, T]`` with ``observation``, ``action``,
+                ``("next", "observation")`` and, under ``task_key``, task parameters that are
+                constant in time (their absence makes a dataset without ground truth).
+            provenance: where they come from.
+            task_key: where the ground truth is; None ignores it.
+
+        Raises:
+            ValueError: not ``[M, T]``, an episode that was reset on the way, or whose task changed.
+        """
+        if rollouts.ndim != 2:
+            raise ValueError(f"rollouts have batch_size {list(rollouts.shape)}; expected [M, T]")
+        observation, following = rollouts["observation"], rollouts["next", "observation"]
+        _check_constant("were reset on the way", observation[:, 1:], following[:, :-1])
+        task = None if task_key is None else rollouts.get(task_key, None)
+        if task is not None:
+            for value in task.values(include_nested=True, leaves_only=True):
+                _check_constant("changed their task on the way", value[:, 1:], value[:, :-1])
+            task = task[:, 0].clone()
+        observation = torch.cat([observation, following[:, -1:]], dim=1)  # [M, T+1, S]
+        return cls(observation.float(), rollouts["action"].float(), provenance, task)
+
+    # --- files ---------------------------------------------------------------------------------
+
+    def save(self, path: str | Path) -> None:
+        """Write one safetensors file, atomically: tensors, facts about them, provenance."""
+        tensors = {"observation": self.observation, "action": self.action}
+        if self.task is not None:
+            tensors |= {f"task.{k}": v for k, v in self.task.flatten_keys(".").items()}
+        header = {
+            "schema_version": _SCHEMA_VERSION,
+            "episodes": len(self),
+            "horizon": self.horizon,
+            "provenance": asdict(self.provenance),
+        }
+        write_tensors(path, tensors, kind=_KIND, header=header)
+
+    @classmethod
+    def load(cls, path: str | Path) -> DemonstrationDataset:
+        """Read what :meth:`save` wrote; nothing is unpickled.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: another kind of file, another schema version, a damaged file, or contents
+                that :meth:`validate` rejects.
+        """
+        tensors, header = read_tensors(path, kind=_KIND)
+        if header["schema_version"] != _SCHEMA_VERSION:
+            raise ValueError(
+                f"{path} has demonstration schema {header['schema_version']}; "
+                f"this version reads schema {_SCHEMA_VERSION}"
+            )
+        observation, action = tensors.pop("observation"), tensors.pop("action")
+        if tuple(action.shape[:2]) != (header["episodes"], header["horizon"]):
+            raise ValueError(
+                f"{path} states {header['episodes']} episodes of {header['horizon']} steps, "
+                f"but its actions are {tuple(action.shape)}"
+            )
+        task = None
+        if tensors:
+            flat = {name.removeprefix("task."): value for name, value in tensors.items()}
+            task = TensorDict(flat, batch_size=[len(action)]).unflatten_keys(".")
+        return cls(observation, action, Provenance(**header["provenance"]), task)
+
+    def to_minari(self, dataset_id: str, **described: Any) -> None:
+        """Create the local Minari dataset ``dataset_id``; needs ``pip install pemirl-trl[minari]``.
+
+        Args:
+            dataset_id: ``(namespace/)(environment/)name-v<version>``.
+            described: ``author``, ``author_email``, ``code_permalink``, ... for Minari's metadata.
+        """
+        metadata = {"provenance": asdict(self.provenance)}
+        write_minari(dataset_id, self.observation, self.action, self.task, metadata, **described)
+
+    @classmethod
+    def from_minari(cls, dataset_id: str) -> DemonstrationDataset:
+        """Read a local Minari dataset, written by :meth:`to_minari` or by anyone.
+
+        Raises:
+            ImportError: the ``minari`` extra is not installed.
+            ValueError: its episodes do not share one horizon, or hold something else than vectors.
+        """
+        episodes, task, metadata = read_minari(dataset_id)
+        if metadata is None:
+            provenance = Provenance(environment=dataset_id)
+        else:
+            provenance = Provenance(**metadata["provenance"])
+        return cls.from_episodes(episodes, provenance, task)
+
+
+def _check_constant(what: str, later: Tensor, earlier: Tensor) -> None:
+    bad = (later != earlier).flatten(1).any(1).nonzero().flatten().tolist()
+    if bad:
+        raise ValueError(f"episodes {bad[:5]} {what}; expected one whole episode per row")

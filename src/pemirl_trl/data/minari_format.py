@@ -1,0 +1,120 @@
+"""Episodes in `Minari <https://minari.farama.org>`_ datasets; needs the ``minari`` extra.
+
+Rewards are no part of a demonstration, but Minari stores one per step: they are written as NaN, so
+that no one trains on them by accident. Task parameters travel as the episode's reset ``options``,
+under ``task``, provenance as one entry of the dataset's metadata.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+__all__ = ["read_minari", "write_minari"]
+
+_METADATA_KEY = "pemirl_trl"
+
+
+def _import_minari() -> tuple[Any, Any]:
+    try:
+        import minari
+        from gymnasium import spaces
+    except ImportError as error:
+        raise ImportError("Minari datasets need: pip install pemirl-trl[minari]") from error
+    return minari, spaces
+
+
+def write_minari(
+    dataset_id: str,
+    observation: Tensor,
+    action: Tensor,
+    task: TensorDictBase | None,
+    metadata: dict[str, Any],
+    **described: Any,
+) -> None:
+    """Create the local Minari dataset ``dataset_id`` of M episodes.
+
+    Args:
+        dataset_id: ``(namespace/)(environment/)name-v<version>``.
+        observation: ``[M, T+1, S]``; action: ``[M, T, A]``; task: batch_size ``[M]`` or None.
+        metadata: JSON mapping, stored under one key of the dataset's metadata.
+        described: passed on to ``minari.create_dataset_from_buffers`` (``author``,
+            ``author_email``, ``code_permalink``, ``algorithm_name``, ``description``, ...).
+    """
+    minari, spaces = _import_minari()
+    episodes, horizon = action.shape[:2]
+    truncated = np.arange(horizon) == horizon - 1  # episodes end by time only
+    buffers = [
+        minari.data_collector.EpisodeBuffer(
+            id=i,
+            options=None if task is None else {"task": task[i].to_dict(convert_tensors="numpy")},
+            observations=observation[i].numpy(),
+            actions=action[i].numpy(),
+            rewards=np.full(horizon, np.nan),
+            terminations=np.zeros(horizon, dtype=bool),
+            truncations=truncated,
+        )
+        for i in range(episodes)
+    ]
+    with warnings.catch_warnings():
+        # One warning per descriptive field left out; they matter for a public upload only.
+        warnings.filterwarnings("ignore", category=UserWarning, module="minari")
+        dataset = minari.create_dataset_from_buffers(
+            dataset_id,
+            buffers,
+            observation_space=spaces.Box(-np.inf, np.inf, observation.shape[2:], np.float32),
+            action_space=spaces.Box(-np.inf, np.inf, action.shape[2:], np.float32),
+            **described,
+        )
+    dataset.storage.update_metadata({_METADATA_KEY: json.dumps(metadata)})
+
+
+def read_minari(
+    dataset_id: str,
+) -> tuple[list[tuple[Tensor, Tensor]], TensorDictBase | None, dict[str, Any] | None]:
+    """Read the local Minari dataset ``dataset_id``, written by anyone.
+
+    Returns:
+        ``(observation [T+1, S], action [T, A])`` float32 per episode; the task parameters with
+        batch_size ``[M]``, if every episode has some; the metadata of :func:`write_minari`, if any.
+
+    Raises:
+        ImportError: the ``minari`` extra is not installed.
+        ValueError: observations or actions are not plain arrays.
+    """
+    minari, spaces = _import_minari()
+    dataset = minari.load_dataset(dataset_id)
+    for space in (dataset.observation_space, dataset.action_space):
+        if not isinstance(space, spaces.Box):
+            raise ValueError(
+                f"{dataset_id} has the space {space}; expected Boxes of observations and actions"
+            )
+    episodes = [
+        (
+            torch.as_tensor(episode.observations, dtype=torch.float32),
+            torch.as_tensor(episode.actions, dtype=torch.float32),
+        )
+        for episode in dataset.iterate_episodes()
+    ]
+    facts = dataset.storage.get_episode_metadata(dataset.episode_indices)
+    tasks = [fact.get("options", {}).get("task") for fact in facts]
+    task = (
+        torch.stack([TensorDict(_to_tensors(t)) for t in tasks])
+        if all(t is not None for t in tasks)
+        else None
+    )
+    raw = dataset.storage.metadata.get(_METADATA_KEY)
+    return episodes, task, None if raw is None else json.loads(raw)
+
+
+def _to_tensors(nested: dict[str, Any]) -> dict[str, Any]:
+    return {
+        key: _to_tensors(value) if isinstance(value, dict) else torch.as_tensor(np.asarray(value))
+        for key, value in nested.items()
+    }

@@ -1,0 +1,111 @@
+"""What makes a set of demonstrations well formed; every complaint names the episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+__all__ = ["check_demonstrations", "stack_episodes"]
+
+
+def _episodes(bad: Tensor | Sequence[int]) -> str:
+    """``episode 3`` or ``episodes 0, 3, 7 ... (12 in all)``."""
+    indices = [int(i) for i in bad]
+    shown = ", ".join(map(str, indices[:5]))
+    more = f" ... ({len(indices)} in all)" if len(indices) > 5 else ""
+    return f"episode{'s' if len(indices) > 1 else ''} {shown}{more}"
+
+
+def _check_finite(name: str, value: Tensor) -> None:
+    bad = (~torch.isfinite(value)).reshape(len(value), -1).any(1).nonzero().flatten()
+    if bad.numel():
+        raise ValueError(f"{name} is NaN or infinite in {_episodes(bad)}; expected finite values")
+
+
+def _check_task(task: TensorDictBase, episodes: int) -> None:
+    if tuple(task.batch_size) != (episodes,):
+        raise ValueError(
+            f"task has batch_size {list(task.batch_size)}; "
+            f"expected [{episodes}], one entry per episode"
+        )
+    for key, value in task.items(include_nested=True, leaves_only=True):
+        names = (key,) if isinstance(key, str) else key
+        # "." and "/" join nested names in the file formats.
+        if not isinstance(value, Tensor) or any(c in name for name in names for c in "./"):
+            raise ValueError(
+                f"task entry {key!r} is a {type(value).__name__}; expected a tensor under names "
+                "without '.' and '/'"
+            )
+        _check_finite(f"task entry {key!r}", value)
+
+
+def check_demonstrations(observation: Tensor, action: Tensor, task: TensorDictBase | None) -> None:
+    """Raise ValueError unless the three obey the schema of :class:`DemonstrationDataset`.
+
+    Args:
+        observation: ``[M, T+1, S]`` float32.
+        action: ``[M, T, A]`` float32.
+        task: ground truth with batch_size ``[M]``, or None.
+    """
+    for name, value, shape in (("observation", observation, "T+1, S"), ("action", action, "T, A")):
+        if value.ndim != 3 or value.dtype != torch.float32:
+            raise ValueError(
+                f"{name} is {tuple(value.shape)} {value.dtype}; expected [M, {shape}] torch.float32"
+            )
+    episodes, horizon = action.shape[:2]
+    if observation.shape[:2] != (episodes, horizon + 1):
+        raise ValueError(
+            f"{observation.shape[0]} episodes of {observation.shape[1]} observations, "
+            f"{episodes} of {horizon} actions; expected as many episodes, and T+1 observations "
+            "for T actions: the last one is what the last action led to"
+        )
+    if 0 in (episodes, horizon, observation.shape[2], action.shape[2]):
+        raise ValueError(
+            f"observation {tuple(observation.shape)} and action {tuple(action.shape)} are empty; "
+            "expected at least one episode, step and dimension"
+        )
+    _check_finite("observation", observation)
+    _check_finite("action", action)
+    if task is not None:
+        _check_task(task, episodes)
+
+
+def stack_episodes(episodes: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
+    """Stack ``(observation [T+1, S], action [T, A])`` pairs to ``[M, T+1, S]`` and ``[M, T, A]``.
+
+    The first episode says what T, S and A are.
+
+    Raises:
+        ValueError: no episodes, an off-by-one, mixed horizons or mixed dimensions.
+    """
+    if not episodes:
+        raise ValueError("got no episodes; expected a list of (observation, action) pairs")
+    flat = [i for i, pair in enumerate(episodes) if any(x.ndim != 2 for x in pair)]
+    if flat:
+        shapes = [tuple(x.shape) for x in episodes[flat[0]]]
+        raise ValueError(
+            f"{_episodes(flat)}: got observation and action of shapes {shapes[0]} and {shapes[1]}; "
+            "expected [T+1, S] and [T, A]"
+        )
+    uneven = [i for i, (o, a) in enumerate(episodes) if len(o) != len(a) + 1]
+    if uneven:
+        observation, action = episodes[uneven[0]]
+        raise ValueError(
+            f"{_episodes(uneven)}: {len(observation)} observations for {len(action)} actions; "
+            "expected T+1 for T, the last one being what the last action led to"
+        )
+    first = episodes[0]
+    for axis, what in ((0, "length"), (1, "dimension")):
+        expected = [x.shape[axis] for x in first]
+        odd = [i for i, pair in enumerate(episodes) if [x.shape[axis] for x in pair] != expected]
+        if odd:
+            got = [x.shape[axis] for x in episodes[odd[0]]]
+            raise ValueError(
+                f"{_episodes(odd)}: observation and action have {what} {got[0]} and {got[1]}; "
+                f"expected {expected[0]} and {expected[1]} as in episode 0 (one fixed horizon)"
+            )
+    observations, actions = zip(*episodes, strict=True)
+    return torch.stack(observations), torch.stack(actions)

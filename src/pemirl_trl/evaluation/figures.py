@@ -1,0 +1,169 @@
+"""Figures through matplotlib's object interface: no pyplot state, no display needed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import EngFormatter
+from numpy.typing import ArrayLike
+
+from pemirl_trl.checkpoint import atomic_path
+from pemirl_trl.evaluation.reward_quality import Bounds
+
+__all__ = ["learning_curve", "reward_maps", "save_figure"]
+
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito
+_CURVE_POINTS = 200
+_OUTLINE = [withStroke(linewidth=2.4, foreground="0.25")]
+_SIDE = 2.2  # inches, the side of one map
+
+Segment = tuple[tuple[float, float], tuple[float, float]]
+
+
+def reward_maps(
+    learned: ArrayLike,
+    true: ArrayLike,
+    extent: Bounds,
+    goals: ArrayLike,
+    *,
+    start: ArrayLike | None = None,
+    segments: Sequence[Segment] = (),
+    demonstrations: ArrayLike | None = None,
+    titles: Sequence[str] | None = None,
+) -> Figure:
+    """Draw learned rewards above true ones, one column per context.
+
+    The learned reward's scale is arbitrary, so every map spans its own range of colours.
+
+    Args:
+        learned: ``[C, H, W]``, row 0 at the lowest y.
+        true: ``[C, H, W]``.
+        extent: ``((x_low, x_high), (y_low, y_high))`` of the maps, in metres.
+        goals: ``[C, 2]``, red stars.
+        start: ``[2]`` or ``[C, 2]``, white circles.
+        segments: barriers ``((x0, y0), (x1, y1))``, thick black lines.
+        demonstrations: positions ``[C, T, 2]`` of the demonstration that each context came from.
+        titles: one per column.
+
+    Raises:
+        ValueError: the number of contexts or the shapes do not agree.
+    """
+    learned, true, goals = np.asarray(learned), np.asarray(true), np.asarray(goals)
+    count = len(goals)
+    paths = None if demonstrations is None else np.asarray(demonstrations)
+    starts = None if start is None else np.broadcast_to(np.asarray(start), (count, 2))
+    lengths = {
+        "learned": learned.shape,
+        "true": true.shape,
+        "goals": goals.shape,
+        "demonstrations": (count,) if paths is None else paths.shape,
+        "titles": (count,) if titles is None else (len(titles),),
+    }
+    if learned.ndim != 3 or true.ndim != 3 or any(s[0] != count for s in lengths.values()):
+        raise ValueError(f"got shapes {lengths}; expected [C, H, W] maps and C of everything else")
+    (x_low, x_high), (y_low, y_high) = extent
+    side = (_SIDE * count + 1.2, _SIDE * 2 * (y_high - y_low) / (x_high - x_low) + 0.5)
+    figure = Figure(figsize=side, layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(2, count, squeeze=False, sharex=True, sharey=True)
+    for row, (name, maps) in enumerate((("learned reward", learned), ("true reward", true))):
+        for column, axes in enumerate(grid[row]):
+            image = axes.imshow(
+                maps[column],
+                origin="lower",
+                extent=(x_low, x_high, y_low, y_high),
+                cmap="viridis",
+                norm=Normalize(maps[column].min(), maps[column].max()),
+                interpolation="bilinear",
+            )
+            if paths is not None:
+                axes.plot(*paths[column].T, color="white", linewidth=1.2, path_effects=_OUTLINE)
+            axes.add_collection(
+                LineCollection(segments, colors="black", linewidths=5, capstyle="round")
+            )
+            _mark(axes, goals[column], None if starts is None else starts[column])
+            axes.set(xlim=(x_low, x_high), ylim=(y_low, y_high), xticks=[], yticks=[])
+            if row == 0 and titles is not None:
+                axes.set_title(titles[column], fontsize=9)
+        grid[row, 0].set_ylabel(name, fontsize=10)
+        bar = figure.colorbar(image, ax=list(grid[row]), fraction=0.04, pad=0.01)
+        bar.set_ticks([image.norm.vmin, image.norm.vmax], labels=["low", "high"])
+        bar.outline.set_visible(False)
+    return figure
+
+
+def _mark(axes: Axes, goal: np.ndarray, start: np.ndarray | None) -> None:
+    if start is not None:
+        axes.plot(*start, "o", markersize=9, color="white", markeredgecolor="black", zorder=3)
+    axes.plot(*goal, "*", markersize=15, color="red", markeredgecolor="white", zorder=4)
+
+
+def learning_curve(
+    series: Mapping[str, Sequence[tuple[ArrayLike, ArrayLike]]],
+    *,
+    references: Mapping[str, float] | None = None,
+    xlabel: str = "environment steps",
+    ylabel: str = "return",
+    title: str = "",
+) -> Figure:
+    """Draw each method's mean over seeds, every seed as a thin line, and reference returns.
+
+    Args:
+        series: method to one ``(x [n], y [n])`` pair per seed, x increasing; the mean runs over
+            the x that all seeds share.
+        references: name to return, such as the expert's; dashed.
+        xlabel: label of x.
+        ylabel: label of y.
+        title: above the axes.
+
+    Raises:
+        ValueError: a method without seeds, or x and y of different lengths.
+    """
+    figure = Figure(figsize=(5.2, 3.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    for index, (name, seeds) in enumerate(series.items()):
+        runs = [(np.asarray(x, float), np.asarray(y, float)) for x, y in seeds]
+        if not runs or any(x.ndim != 1 or x.shape != y.shape or not x.size for x, y in runs):
+            shapes = [(x.shape, y.shape) for x, y in runs]
+            raise ValueError(f"{name!r} has runs of shapes {shapes}; expected ([n], [n]) per seed")
+        colour = _COLOURS[index % len(_COLOURS)]
+        for x, y in runs:
+            axes.plot(x, y, color=colour, linewidth=0.8, alpha=0.35)
+        shared = np.linspace(max(x[0] for x, _ in runs), min(x[-1] for x, _ in runs), _CURVE_POINTS)
+        mean = np.mean([np.interp(shared, x, y) for x, y in runs], axis=0)
+        label = f"{name} ({len(runs)} seed{'s' if len(runs) > 1 else ''})"
+        axes.plot(shared, mean, color=colour, linewidth=2, label=label)
+    for name, value in (references or {}).items():
+        axes.axhline(value, color="0.35", linewidth=1, linestyle="--")
+        axes.annotate(
+            name,
+            (1, value),
+            xycoords=("axes fraction", "data"),
+            xytext=(-2, 2),
+            textcoords="offset points",
+            ha="right",
+            va="bottom",
+            fontsize=8,
+            color="0.35",
+        )
+    axes.set(xlabel=xlabel, ylabel=ylabel, title=title)
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 3M rather than 3e6
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize=9)
+    return figure
+
+
+def save_figure(figure: Figure, path: str | Path, dpi: int = 150) -> None:
+    """Write ``figure`` atomically, in the format that the suffix of ``path`` names."""
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=dpi)

@@ -1,0 +1,51 @@
+"""Whole episodes ``[N, T]`` from a batched environment, a fresh reset each time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from tensordict import TensorDictBase
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
+
+from pemirl_trl.modules import ContextPolicy
+
+
+class EpisodeCollector:
+    """A TorchRL collector that yields one whole episode per environment and iteration.
+
+    Args:
+        env: batch size ``[N]``; all its episodes last ``horizon`` steps.
+        policy: sampled, and seen live: steps on its parameters count at once.
+        horizon: T.
+    """
+
+    def __init__(self, env: EnvBase, policy: ContextPolicy, horizon: int) -> None:
+        if len(env.batch_size) != 1:
+            raise ValueError(
+                f"expected an environment of batch size [N], got {list(env.batch_size)}"
+            )
+        self.horizon = horizon
+        self.frames = env.batch_size[0] * horizon
+        self.env = env
+        self._collector = Collector(
+            env,
+            policy,
+            frames_per_batch=self.frames,
+            total_frames=-1,
+            reset_at_each_iter=True,
+            auto_register_policy_transforms=False,
+            track_traj_ids=False,
+        )
+        self._batches: Iterator[TensorDictBase] = iter(self._collector)
+
+    def __call__(self) -> TensorDictBase:
+        """Collect rollouts ``[N, T]``; raise if they are not whole episodes."""
+        rollouts = next(self._batches)
+        done = rollouts.get(("next", "done"))
+        if rollouts.shape[-1] != self.horizon or done[:, :-1].any() or not done[:, -1].all():
+            raise ValueError(
+                f"expected episodes that all end at step {self.horizon}, got ends at steps "
+                f"{sorted((done.squeeze(-1).nonzero()[:, 1] + 1).unique().tolist())}"
+            )
+        return rollouts

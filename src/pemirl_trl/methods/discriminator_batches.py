@@ -1,0 +1,111 @@
+"""Expert and policy transitions in equal number, for the discriminator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from pemirl_trl.data import Negatives
+from pemirl_trl.modules import PEMIRLModel
+
+FIELDS = ("observation", ("next", "observation"), "action", "context")
+
+
+@dataclass(frozen=True)
+class BatchConfig:
+    """Of one discriminator batch.
+
+    Attributes:
+        trajectories: how many of the expert, and how many of the policy.
+        time_steps: transitions drawn from each trajectory.
+        current_fraction: share of the policy's trajectories that comes from the last iteration;
+            the rest is uniform over the iterations that are replayed.
+        jitter_fraction: share of the policy's trajectories that gets Gaussian noise on its
+            observations, the same on s and s'. Blurred negatives enclose the expert's support.
+            An extension of the paper; 0 is off.
+        jitter_scale: the noise's deviation is drawn per trajectory from U(0, jitter_scale), in
+            units of the demonstrations' mean deviation.
+    """
+
+    trajectories: int = 200
+    time_steps: int = 10
+    current_fraction: float = 0.5
+    jitter_fraction: float = 0.0
+    jitter_scale: float = 0.0
+
+
+class DiscriminatorBatches:
+    """Draws batches ``[2 n k]`` of n trajectories a side and k transitions each.
+
+    An expert transition's m is drawn from q(m | its own demonstration), by reparameterisation, and
+    its log pi is the current policy's. A policy transition keeps the m that produced it and the log
+    pi of its collection.
+
+    Args:
+        model: gives m and log pi.
+        demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``.
+        negatives: the policy's rollouts.
+        config: of a batch.
+    """
+
+    def __init__(
+        self,
+        model: PEMIRLModel,
+        demonstrations: TensorDictBase,
+        negatives: Negatives,
+        config: BatchConfig,
+    ) -> None:
+        self.model, self.demonstrations, self.negatives = model, demonstrations, negatives
+        self.config = config
+
+    def sample(self, last: int) -> TensorDict:
+        """One batch, with ``is_expert``; negatives come from the ``last`` iterations."""
+        expert, policy = self._expert(), self._policy(last)
+        return torch.cat([expert, policy]).reshape(-1)
+
+    def _expert(self) -> TensorDict:
+        c = self.config
+        index = torch.randint(self.demonstrations.batch_size[0], (c.trajectories,))
+        drawn = self.demonstrations[index]
+        m = self.model.encoder.get_dist(drawn).rsample()  # [n, D]
+        horizon = drawn["action"].shape[1]
+        rows = torch.arange(c.trajectories).unsqueeze(-1)
+        times = torch.randint(horizon, (c.trajectories, c.time_steps))
+        batch = TensorDict({}, times.shape)
+        for key in FIELDS[:-1]:
+            batch.set(key, drawn.get(key)[rows, times])
+        batch.set("context", m.unsqueeze(1).expand(*times.shape, -1))
+        with torch.no_grad():
+            inputs = batch.select(*self.model.policy.in_keys)
+            log_prob = self.model.policy.get_dist(inputs).log_prob(batch["action"])
+        return batch.set("action_log_prob", log_prob).set("is_expert", _flag(times, True))
+
+    def _policy(self, last: int) -> TensorDict:
+        c = self.config
+        current = round(c.current_fraction * c.trajectories)
+        parts = [
+            self.negatives.sample(count, steps=c.time_steps, last=reach)
+            for count, reach in ((current, 1), (c.trajectories - current, last))
+            if count > 0
+        ]
+        batch = torch.cat(parts)
+        batch = batch.select(*FIELDS, "action_log_prob")
+        if c.jitter_fraction > 0:
+            self._jitter(batch)
+        return batch.set("is_expert", _flag(batch["action_log_prob"], False))
+
+    def _jitter(self, batch: TensorDict) -> None:
+        c, shape = self.config, batch["observation"].shape
+        unit = self.model.standardize.scale.mean()
+        scale = torch.rand(shape[0], 1, 1) * c.jitter_scale * unit
+        chosen = (torch.rand(shape[0], 1, 1) < c.jitter_fraction).to(scale.dtype)
+        noise = chosen * scale * torch.randn(shape)
+        for key in FIELDS[:2]:
+            batch.set(key, batch.get(key) + noise)
+
+
+def _flag(like: Tensor, value: bool) -> Tensor:
+    return torch.full(like.shape, value, dtype=torch.bool)

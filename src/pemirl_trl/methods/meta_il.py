@@ -1,0 +1,73 @@
+"""Meta-IL: imitation with latent contexts, no environment needed; it also initialises q_psi."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch.optim import Adam
+
+from pemirl_trl.modules import PEMIRLModel
+from pemirl_trl.objectives import MetaILLoss
+from pemirl_trl.optim import descend
+
+
+@dataclass(frozen=True)
+class MetaILConfig:
+    """Of the imitation.
+
+    Attributes:
+        steps: Adam steps in all.
+        steps_per_iteration: how many of them one iteration does.
+        batch_size: demonstrations per step.
+        lr: of Adam.
+        kl_coeff: weight of KL(q || N(0, I)) per trajectory.
+    """
+
+    steps: int = 3000
+    steps_per_iteration: int = 100
+    batch_size: int = 64
+    lr: float = 1e-3
+    kl_coeff: float = 0.1
+
+
+class MetaIL:
+    """Maximise the evidence bound of the demonstrations in psi and omega.
+
+    Args:
+        model: its encoder and policy are trained in place.
+        demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``; unlabelled.
+        config: of the training.
+    """
+
+    def __init__(
+        self, model: PEMIRLModel, demonstrations: TensorDictBase, config: MetaILConfig
+    ) -> None:
+        self.config, self.model, self.demonstrations = config, model, demonstrations
+        self.iterations = max(1, config.steps // config.steps_per_iteration)
+        self.env_steps = 0
+        self.loss = MetaILLoss(model.encoder, model.policy, kl_coeff=config.kl_coeff)
+        self.optimizer = Adam(
+            [*model.encoder.parameters(), *model.policy.parameters()], lr=config.lr
+        )
+
+    def iteration(self) -> dict[str, float]:
+        """So many Adam steps; the metrics are means over them."""
+        total: dict[str, float] = {}
+        for _ in range(self.config.steps_per_iteration):
+            index = torch.randint(self.demonstrations.batch_size[0], (self.config.batch_size,))
+            losses = self.loss(self.demonstrations[index])
+            descend(self.optimizer, losses["loss_imitation"] + losses["loss_kl"])
+            for name in ("loss_imitation", "kl"):
+                total[name] = total.get(name, 0.0) + float(losses[name].detach())
+        return {f"meta_il/{k}": v / self.config.steps_per_iteration for k, v in total.items()}
+
+    def components(self) -> dict[str, Any]:
+        """What a checkpoint holds."""
+        return {
+            "encoder": self.model.encoder,
+            "policy": self.model.policy,
+            "optimizer": self.optimizer,
+        }

@@ -1,0 +1,194 @@
+"""PEMIRL meta-training (Yu, Yu, Finn and Ermon, 2019, Algorithm 1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torch.optim import Adam
+from torchrl.envs import EnvBase
+
+from pemirl_trl.data import Negatives
+from pemirl_trl.functional import PolicyReward, policy_reward
+from pemirl_trl.methods.collection import EpisodeCollector
+from pemirl_trl.methods.discriminator_batches import BatchConfig, DiscriminatorBatches
+from pemirl_trl.methods.policy_step import PolicyStep, TRPOConfig
+from pemirl_trl.modules import AIRLDiscriminator, PEMIRLModel
+from pemirl_trl.objectives import DiscriminatorLoss, InfoLoss
+from pemirl_trl.objectives.info import Summand
+from pemirl_trl.optim import descend
+
+
+@dataclass(frozen=True)
+class PEMIRLConfig:
+    """Of meta-training.
+
+    Attributes:
+        iterations: of Algorithm 1's loop.
+        rollouts_per_context: K; the environment's batch holds M contexts of K rollouts each.
+        policy_reward: what the policy maximises: ``"state"`` r, ``"shaped"`` f or ``"score"`` f -
+            log pi.
+        reward_steps: Adam steps on psi, theta and phi per iteration.
+        reward_lr, encoder_lr: of theta and phi, and of psi.
+        replay_iterations: how many iterations of rollouts serve as negatives.
+        archive_iterations: how many are kept, for later use; at least ``replay_iterations``.
+        batch: of the discriminator.
+        gradient_penalty_coeff: R1 penalty on r; an extension of the paper, 0 is off.
+        encoder_gradient: whether the discriminator's loss also trains psi (the authors' code).
+        info_coeff: weight of L_info beside the classification loss, for theta.
+        info_contexts: contexts per Adam step from which L_info is estimated.
+        info_summand, info_time_mean, info_normalize: see :class:`InfoLoss`.
+        imitation_coeff: weight of the demonstrations' log-likelihood in the policy's objective.
+        trpo: of the policy step.
+    """
+
+    iterations: int = 100
+    rollouts_per_context: int = 8
+    policy_reward: PolicyReward = "state"
+    reward_steps: int = 10
+    reward_lr: float = 1e-3
+    encoder_lr: float = 1e-4
+    replay_iterations: int = 20
+    archive_iterations: int = 20
+    batch: BatchConfig = field(default_factory=BatchConfig)
+    gradient_penalty_coeff: float = 0.0
+    encoder_gradient: bool = False
+    info_coeff: float = 0.1
+    info_contexts: int = 10
+    info_summand: Summand = "shaped"
+    info_time_mean: bool = False
+    info_normalize: bool = False
+    imitation_coeff: float = 0.01
+    trpo: TRPOConfig = field(default_factory=TRPOConfig)
+
+
+class PEMIRL:
+    """Algorithm 1 on a TorchRL environment that writes ``context`` at reset.
+
+    Args:
+        model: q_psi, r_theta, h_phi and pi_omega, trained in place; q_psi commonly initialised by
+            Meta-IL and pi_omega fresh.
+        env: batch size ``[M K]``, carrying :class:`pemirl_trl.InferContext` over ``demonstrations``.
+        demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``; unlabelled.
+        config: of the training.
+    """
+
+    def __init__(
+        self,
+        model: PEMIRLModel,
+        env: EnvBase,
+        demonstrations: TensorDictBase,
+        config: PEMIRLConfig,
+    ) -> None:
+        self.model, self.demonstrations, self.config = model, demonstrations, config
+        self.iterations = config.iterations
+        self.env_steps = 0
+        self.negatives = Negatives(max(config.replay_iterations, config.archive_iterations))
+        self._collect = EpisodeCollector(env, model.policy, model.horizon)
+        self._batches = DiscriminatorBatches(model, demonstrations, self.negatives, config.batch)
+        self._info_loss = InfoLoss(
+            model.encoder,
+            model.reward,
+            rollouts_per_context=config.rollouts_per_context,
+            summand=config.info_summand,
+            time_mean=config.info_time_mean,
+            normalize=config.info_normalize,
+        )
+        self._discriminator_loss = DiscriminatorLoss(
+            AIRLDiscriminator(model.reward),
+            detach_context=not config.encoder_gradient,
+            gradient_penalty_coeff=config.gradient_penalty_coeff,
+        )
+        self._encoder_optimizer = Adam(model.encoder.parameters(), lr=config.encoder_lr)
+        self._reward_optimizer = Adam(model.reward.parameters(), lr=config.reward_lr)
+        self._policy_step = PolicyStep(model.policy, config.trpo, config.rollouts_per_context)
+
+    def iteration(self) -> dict[str, float]:
+        """One pass of Algorithm 1's loop, in its order."""
+        # tau_E ~ D_E, m ~ q(m|tau_E), tau ~ pi(tau|m): the environment draws m at its reset.
+        rollouts = self._collect()
+        self.negatives.add(rollouts)
+        self.env_steps += self._collect.frames
+        metrics = {"return/true": float(rollouts["next", "reward"].sum(1).mean())}
+        # psi to increase L_info; theta to increase L_info and to classify expert from policy.
+        metrics |= self._update_encoder_and_reward(rollouts)
+        # omega to increase the learned reward, within a trust region.
+        metrics |= self._update_policy(rollouts)
+        return metrics
+
+    def _update_encoder_and_reward(self, rollouts: TensorDictBase) -> dict[str, float]:
+        c = self.config
+        for _ in range(c.reward_steps):
+            info = self._info_loss(self._some_contexts(rollouts))
+            classification = self._discriminator_loss(self._batches.sample(c.replay_iterations))
+            # Both losses are computed before either step: psi and theta move simultaneously.
+            psi_loss = info["loss_info_encoder"]
+            theta_loss = classification["loss_discriminator"]
+            if c.encoder_gradient:
+                psi_loss = psi_loss + theta_loss
+            theta_loss = theta_loss + c.info_coeff * info["loss_info_reward"]
+            if c.gradient_penalty_coeff > 0:
+                theta_loss = theta_loss + classification["loss_gradient_penalty"]
+            descend(self._encoder_optimizer, psi_loss, retain_graph=True)
+            descend(self._reward_optimizer, theta_loss)
+        losses = {**info, **classification}
+        return {f"reward/{name}": float(value.detach()) for name, value in losses.items()}
+
+    def _some_contexts(self, rollouts: TensorDictBase) -> TensorDictBase:
+        k = self.config.rollouts_per_context
+        count = rollouts.shape[0] // k
+        chosen = torch.randperm(count)[: self.config.info_contexts]
+        rows = (chosen.unsqueeze(-1) * k + torch.arange(k)).reshape(-1)
+        keys = ("observation", "action", ("next", "observation"), "context")
+        return rollouts.select(*keys)[rows]
+
+    def _update_policy(self, rollouts: TensorDictBase) -> dict[str, float]:
+        with torch.no_grad():
+            scored = self.model.reward(rollouts.select(*self.model.reward.in_keys))
+            reward = policy_reward(
+                scored["learned_reward"],
+                scored["shaped_reward"],
+                rollouts["action_log_prob"].unsqueeze(-1),
+                self.config.policy_reward,
+            )
+        batch = rollouts.copy().set(("next", "reward"), reward)
+        metrics = self._policy_step(batch, self._imitation_loss(rollouts))
+        return {"return/learned": float(reward.sum(1).mean()), **metrics}
+
+    def _imitation_loss(self, rollouts: TensorDictBase) -> Any:  # noqa: ANN401
+        if self.config.imitation_coeff == 0:
+            return None
+        first = rollouts[:: self.config.rollouts_per_context]  # one row per context
+        demonstrations = self.demonstrations[first["demonstration"][:, 0]]
+        batch = TensorDict(
+            {"observation": demonstrations["observation"], "context": first["context"]},
+            first.shape,
+        ).reshape(-1)
+        action = demonstrations["action"].flatten(0, 1)
+
+        def loss() -> Tensor:
+            log_prob = self.model.policy.get_dist(batch.copy()).log_prob(action)
+            return -self.config.imitation_coeff * log_prob.mean()
+
+        return loss
+
+    def components(self) -> dict[str, Any]:
+        """What a checkpoint holds."""
+        return {
+            "model": self.model,
+            "encoder_optimizer": self._encoder_optimizer,
+            "reward_optimizer": self._reward_optimizer,
+            "negatives": self.negatives,
+            "progress": self,
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """Counters of the run."""
+        return {"env_steps": self.env_steps}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue a run."""
+        self.env_steps = int(state["env_steps"])

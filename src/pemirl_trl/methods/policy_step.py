@@ -1,0 +1,101 @@
+"""One trust-region step on a batch of rollouts: what every method does to its policy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+
+from pemirl_trl.modules import ContextPolicy
+from pemirl_trl.objectives import FiniteHorizonAdvantage, TRPOLoss
+from pemirl_trl.optim import TrustRegionOptimizer
+
+
+@dataclass(frozen=True)
+class TRPOConfig:
+    """Of one policy update.
+
+    Attributes:
+        gamma, lmbda: of the advantage.
+        max_kl: trust region, in nats.
+        cg_iterations, damping: of the conjugate gradient.
+        fisher_rows: transitions for the Fisher-vector products, drawn from the batch.
+        entropy_coeff: weight of the entropy beside standardised advantages.
+    """
+
+    gamma: float = 0.99
+    lmbda: float = 1.0
+    max_kl: float = 0.02
+    cg_iterations: int = 10
+    damping: float = 1e-5
+    fisher_rows: int = 4000
+    entropy_coeff: float = 0.0
+
+
+class PolicyStep:
+    """Advantages with a linear baseline per context, then one trust-region step.
+
+    Args:
+        policy: moved in place.
+        config: of the step.
+        rollouts_per_context: K; consecutive rollouts that share a context and a baseline.
+        params: what to move; by default all of the policy.
+    """
+
+    def __init__(
+        self,
+        policy: ContextPolicy,
+        config: TRPOConfig,
+        rollouts_per_context: int,
+        params: Sequence[nn.Parameter] | None = None,
+    ) -> None:
+        self.policy = policy
+        self.config = config
+        self.loss = TRPOLoss(policy, entropy_coeff=config.entropy_coeff)
+        self.advantage = FiniteHorizonAdvantage(
+            gamma=config.gamma,
+            lmbda=config.lmbda,
+            rollouts_per_context=rollouts_per_context,
+            observation_map=policy.gaussian.standardize,
+        )
+        self.optimizer = TrustRegionOptimizer(
+            policy.parameters() if params is None else params,
+            max_kl=config.max_kl,
+            cg_iterations=config.cg_iterations,
+            damping=config.damping,
+        )
+
+    def __call__(
+        self, rollouts: TensorDictBase, extra_loss: Callable[[], Tensor] | None = None
+    ) -> dict[str, float]:
+        """Improve the policy on ``("next", "reward")`` of rollouts ``[N, T]``.
+
+        Args:
+            rollouts: as collected, with the distribution's parameters.
+            extra_loss: () -> scalar, added to the surrogate loss, so that the trust region holds
+                for the sum (imitation, for one).
+
+        Returns:
+            Metrics of the step.
+        """
+        batch = self.advantage(rollouts).select(*self.loss.in_keys).reshape(-1)
+        rows = torch.randint(batch.shape[0], (min(self.config.fisher_rows, batch.shape[0]),))
+        fisher_batch = batch[rows]
+
+        def closure() -> tuple[Tensor, Tensor]:
+            losses = self.loss(batch)
+            loss = losses["loss_objective"]
+            return loss if extra_loss is None else loss + extra_loss(), losses["kl"]
+
+        result = self.optimizer.step(closure, lambda: self.loss(fisher_batch)["kl"])
+        return {
+            "trpo/accepted": float(result.accepted),
+            "trpo/kl": result.kl,
+            "trpo/improvement": result.improvement,
+            "trpo/backtracks": float(result.backtracks),
+            "trpo/cg_residual": result.cg_residual,
+            "policy/scale": float(self.policy.log_scale.detach().exp().mean()),
+        }

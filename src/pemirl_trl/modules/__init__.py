@@ -1,0 +1,21 @@
+"""Networks of PEMIRL as TensorDict modules."""
+
+from pemirl_trl.modules.actors import ContextPolicy, ContextValue
+from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder
+from pemirl_trl.modules.discriminator import AIRLDiscriminator
+from pemirl_trl.modules.model import ModelConfig, PEMIRLModel
+from pemirl_trl.modules.reward import AveragedReward, ShapedReward
+from pemirl_trl.modules.standardize import Standardize
+
+__all__ = [
+    "AIRLDiscriminator",
+    "AveragedReward",
+    "ContextEncoder",
+    "ContextPolicy",
+    "ContextValue",
+    "MaskedContextEncoder",
+    "ModelConfig",
+    "PEMIRLModel",
+    "ShapedReward",
+    "Standardize",
+]

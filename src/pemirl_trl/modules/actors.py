@@ -1,0 +1,144 @@
+"""The context policy pi_omega(a | s, m) and a value function of (s, m, t)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from tensordict.utils import NestedKey
+from torch import Tensor, nn
+from torchrl.modules import MLP, ProbabilisticActor
+
+from pemirl_trl.modules.context_encoder import diagonal_normal
+from pemirl_trl.modules.standardize import Standardize
+
+
+class _GaussianParameters(TensorDictModuleBase):
+    # Written against the tensordict rather than wrapped in a TensorDictModule, which inspects every
+    # output anew at each call: a third of the policy's time when it is stepped with a simulator.
+    def __init__(
+        self,
+        net: nn.Module,
+        standardize: Standardize,
+        log_scale: Tensor,
+        max_scale: float,
+        context_key: NestedKey,
+    ) -> None:
+        super().__init__()
+        self.in_keys = ["observation", context_key]
+        self.out_keys = ["loc", "scale"]
+        self.standardize, self.net = standardize, net
+        self.max_log_scale = math.log(max_scale)
+        self.log_scale = nn.Parameter(log_scale)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        observation, context = (tensordict.get(key) for key in self.in_keys)
+        loc = self.net(self.standardize(observation), context)
+        scale = self.log_scale.clamp(max=self.max_log_scale).exp().expand_as(loc)
+        return tensordict.set("loc", loc).set("scale", scale)
+
+
+class ContextPolicy(ProbabilisticActor):
+    """pi(a | s, m): a diagonal Gaussian with an MLP mean and one deviation for all inputs.
+
+    Reads ``observation`` ``[..., S]`` and ``context`` ``[..., D]``; writes ``loc``, ``scale``,
+    ``action`` ``[..., A]`` and ``action_log_prob`` ``[...]``, the density of the action as drawn:
+    a simulator that clamps its controls changes what the action does, not how likely it was.
+
+    Args:
+        observation_dim, action_dim, context_dim: S, A and D.
+        hidden, activation: of the mean (the paper's: 2 x 64).
+        standardize: map of observations; by default none.
+        initial_scale: deviation before training.
+        max_scale: the deviation never exceeds this. Where a simulator clamps actions, entropy
+            costs nothing beyond the clamp, and an entropy-seeking objective would buy it without
+            end.
+        context_key: where m stands. An expert that knows its task reads the task parameters
+            instead of a context: ``context_key=("task", "goal")``.
+    """
+
+    def __init__(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        context_dim: int,
+        *,
+        hidden: Sequence[int] = (64, 64),
+        activation: type[nn.Module] = nn.ReLU,
+        standardize: Standardize | None = None,
+        initial_scale: float = 1.0,
+        max_scale: float = math.inf,
+        context_key: NestedKey = "context",
+    ) -> None:
+        net = MLP(
+            in_features=observation_dim + context_dim,
+            out_features=action_dim,
+            num_cells=list(hidden),
+            activation_class=activation,
+        )
+        gaussian = _GaussianParameters(
+            net,
+            standardize or Standardize.identity(observation_dim),
+            torch.full((action_dim,), math.log(initial_scale)),
+            max_scale,
+            context_key,
+        )
+        super().__init__(
+            module=gaussian,
+            in_keys=["loc", "scale"],
+            out_keys=["action"],
+            distribution_class=diagonal_normal,
+            return_log_prob=True,
+        )
+        self.gaussian = gaussian
+
+    @property
+    def log_scale(self) -> nn.Parameter:
+        """Logarithm of the deviation, ``[A]``, before the cap."""
+        return self.gaussian.log_scale
+
+    def mean_parameters(self) -> list[nn.Parameter]:
+        """The parameters of the mean, which a schedule of the deviation leaves to be learned."""
+        return [p for p in self.parameters() if p is not self.log_scale]
+
+
+class _ValueNet(nn.Module):
+    def __init__(self, net: nn.Module, standardize: Standardize, horizon: int) -> None:
+        super().__init__()
+        self.standardize, self.net, self.horizon = standardize, net, horizon
+
+    def forward(self, observation: Tensor, context: Tensor) -> Tensor:
+        t = torch.arange(observation.shape[-2], dtype=observation.dtype) / self.horizon
+        time = t.to(observation.device).unsqueeze(-1).expand(*observation.shape[:-1], 1)
+        return self.net(self.standardize(observation), context, time)
+
+
+class ContextValue(TensorDictModule):
+    """V(s, m, t) of a finite-horizon task: an MLP that also sees the time t / T.
+
+    Reads whole episodes from their first step, ``observation`` ``[..., T, S]`` and ``context``
+    ``[..., T, D]``; writes ``state_value`` ``[..., T, 1]``.
+    """
+
+    def __init__(
+        self,
+        observation_dim: int,
+        context_dim: int,
+        horizon: int,
+        *,
+        hidden: Sequence[int] = (64, 64),
+        activation: type[nn.Module] = nn.Tanh,
+        standardize: Standardize | None = None,
+        context_key: NestedKey = "context",
+    ) -> None:
+        net = MLP(
+            in_features=observation_dim + context_dim + 1,
+            out_features=1,
+            num_cells=list(hidden),
+            activation_class=activation,
+        )
+        value = _ValueNet(net, standardize or Standardize.identity(observation_dim), horizon)
+        super().__init__(value, in_keys=["observation", context_key], out_keys=["state_value"])

@@ -1,0 +1,214 @@
+"""The inference model q_psi(m | trajectory), a diagonal Gaussian over the context.
+
+An encoder returns a distribution (``get_dist``); sampling is the caller's act. Trajectories come
+with batch size ``[N]`` and leaves ``[N, T, ...]``, since an encoder reduces time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import (
+    ProbabilisticTensorDictModule,
+    ProbabilisticTensorDictSequential,
+    TensorDictModule,
+)
+from tensordict.utils import NestedKey
+from torch import Tensor, nn
+from torch.distributions import Independent, Normal
+from torchrl.modules import MLP
+
+from pemirl_trl.modules.standardize import Standardize
+
+
+def diagonal_normal(loc: Tensor, scale: Tensor) -> Independent:
+    """N(loc, diag(scale^2)) with event dimension D, for ``[..., D]`` arguments."""
+    return Independent(Normal(loc, scale, validate_args=False), 1, validate_args=False)
+
+
+class _GaussianHead(nn.Module):
+    """Splits features into a location and a scale, with one scale for all inputs if so told."""
+
+    def __init__(self, context_dim: int, scale_depends_on_input: bool, initial_scale: float) -> None:
+        super().__init__()
+        self.context_dim = context_dim
+        self.depends = scale_depends_on_input
+        self.log_scale = nn.Parameter(torch.full((context_dim,), initial_scale).log())
+
+    @property
+    def in_features(self) -> int:
+        return self.context_dim * (2 if self.depends else 1)
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        loc = features[..., : self.context_dim]
+        log_scale = self.log_scale.expand_as(loc)
+        if self.depends:
+            log_scale = log_scale + features[..., self.context_dim :]
+        return loc, log_scale.exp()
+
+
+class _FlatTrajectoryNet(nn.Module):
+    def __init__(
+        self, net: nn.Module, head: _GaussianHead, standardize: Standardize, horizon: int
+    ) -> None:
+        super().__init__()
+        self.standardize, self.net, self.head, self.horizon = standardize, net, head, horizon
+
+    def forward(self, observation: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        if observation.shape[-2] != self.horizon:
+            raise ValueError(
+                f"this encoder takes trajectories of exactly {self.horizon} steps, got "
+                f"{observation.shape[-2]}; for other lengths use MaskedContextEncoder"
+            )
+        steps = torch.cat([self.standardize(observation), action], -1)
+        return self.head(self.net(steps.flatten(-2)))
+
+
+class _MaskedTrajectoryNet(nn.Module):
+    def __init__(
+        self, step_net: nn.Module, net: nn.Module, head: _GaussianHead, standardize: Standardize
+    ) -> None:
+        super().__init__()
+        self.standardize, self.step_net, self.net, self.head = standardize, step_net, net, head
+
+    def forward(
+        self, observation: Tensor, action: Tensor, mask: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        steps = self.step_net(torch.cat([self.standardize(observation), action], -1))
+        if mask is None:
+            mask = torch.ones(steps.shape[:-1], dtype=torch.bool, device=steps.device)
+        if not mask.any(-1).all():
+            raise ValueError("a trajectory has no valid step: its mask is False everywhere")
+        # Select rather than multiply: padding may hold NaN.
+        valid = torch.where(mask.unsqueeze(-1), steps, torch.zeros_like(steps))
+        mean = valid.sum(-2) / mask.sum(-1, keepdim=True)
+        return self.head(self.net(mean))
+
+
+class _GaussianContext(ProbabilisticTensorDictSequential):
+    """A network that gives (loc, scale), followed by the Gaussian over the context."""
+
+    def __init__(
+        self, net: nn.Module, context_dim: int, in_keys: list[NestedKey], context_key: NestedKey
+    ) -> None:
+        loc_key, scale_key = "context_loc", "context_scale"
+        super().__init__(
+            TensorDictModule(net, in_keys=in_keys, out_keys=[loc_key, scale_key]),
+            ProbabilisticTensorDictModule(
+                in_keys={"loc": loc_key, "scale": scale_key},
+                out_keys=[context_key],
+                distribution_class=diagonal_normal,
+            ),
+        )
+        self.context_dim = context_dim
+
+    def get_dist(self, tensordict: TensorDictBase, **kwargs: object) -> Independent:
+        """q(m | trajectory) of a tensordict with batch size ``[N]``; it is left unchanged."""
+        return super().get_dist(tensordict.copy(), **kwargs)
+
+
+class ContextEncoder(_GaussianContext):
+    """q_psi(m | tau): an MLP on the flattened trajectory of fixed length (the paper's: 2 x 128).
+
+    Reads ``observation`` ``[N, T, S]`` and ``action`` ``[N, T, A]``; ``get_dist`` gives a diagonal
+    Gaussian over ``[N, D]``; calling the module writes ``context_loc``, ``context_scale`` and
+    ``context`` (the mean, or a sample under ``ExplorationType.RANDOM``), all ``[N, D]``.
+
+    Args:
+        observation_dim, action_dim, context_dim: S, A and D.
+        horizon: T.
+        hidden: widths of the hidden layers.
+        activation: class of the non-linearity.
+        standardize: map of observations; by default none.
+        scale_depends_on_input: whether the deviation is a function of the trajectory, or one
+            vector for all of them (the authors' choice, and the default).
+        initial_scale: deviation before training.
+        context_key: where the sample is written.
+    """
+
+    def __init__(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        context_dim: int,
+        horizon: int,
+        *,
+        hidden: Sequence[int] = (128, 128),
+        activation: type[nn.Module] = nn.ReLU,
+        standardize: Standardize | None = None,
+        scale_depends_on_input: bool = False,
+        initial_scale: float = 1.0,
+        context_key: NestedKey = "context",
+    ) -> None:
+        head = _GaussianHead(context_dim, scale_depends_on_input, initial_scale)
+        net = MLP(
+            in_features=horizon * (observation_dim + action_dim),
+            out_features=head.in_features,
+            num_cells=list(hidden),
+            activation_class=activation,
+        )
+        flat = _FlatTrajectoryNet(
+            net, head, standardize or Standardize.identity(observation_dim), horizon
+        )
+        super().__init__(flat, context_dim, ["observation", "action"], context_key)
+
+
+class MaskedContextEncoder(_GaussianContext):
+    """q_psi(m | tau) for trajectories of any length, padded to a common one.
+
+    Each step is embedded by an MLP, the embeddings are averaged over the valid steps and a
+    second MLP gives the Gaussian. Padding is never read: it may hold anything, NaN included.
+
+    Reads ``observation`` ``[N, T, S]``, ``action`` ``[N, T, A]`` and, where present, ``mask``
+    ``[N, T]`` (boolean, True for valid steps); otherwise as :class:`ContextEncoder`.
+    """
+
+    def __init__(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        context_dim: int,
+        *,
+        hidden: Sequence[int] = (128, 128),
+        activation: type[nn.Module] = nn.ReLU,
+        standardize: Standardize | None = None,
+        scale_depends_on_input: bool = False,
+        initial_scale: float = 1.0,
+        context_key: NestedKey = "context",
+        mask_key: NestedKey = "mask",
+    ) -> None:
+        head = _GaussianHead(context_dim, scale_depends_on_input, initial_scale)
+        width = hidden[-1]
+        step_net = MLP(
+            in_features=observation_dim + action_dim,
+            out_features=width,
+            num_cells=list(hidden),
+            activation_class=activation,
+        )
+        net = MLP(
+            in_features=width,
+            out_features=head.in_features,
+            num_cells=[width],
+            activation_class=activation,
+        )
+        masked = _MaskedTrajectoryNet(
+            step_net, net, head, standardize or Standardize.identity(observation_dim)
+        )
+        super().__init__(masked, context_dim, ["observation", "action", mask_key], context_key)
+        self.mask_key = mask_key
+
+    def get_dist(self, tensordict: TensorDictBase, **kwargs: object) -> Independent:
+        """q(m | trajectory); a missing mask means that every step is valid."""
+        return super().get_dist(self._with_mask(tensordict.copy()), **kwargs)
+
+    def forward(self, tensordict: TensorDictBase, **kwargs: object) -> TensorDictBase:
+        """Write the Gaussian and the context into ``tensordict``."""
+        return super().forward(self._with_mask(tensordict), **kwargs)
+
+    def _with_mask(self, tensordict: TensorDictBase) -> TensorDictBase:
+        if self.mask_key in tensordict.keys(True):
+            return tensordict
+        shape = tensordict.get("observation").shape[:-1]
+        return tensordict.set(self.mask_key, torch.ones(shape, dtype=torch.bool))

@@ -1,0 +1,91 @@
+"""The networks of one PEMIRL model, and the numbers that rebuild them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from torch import nn
+
+from pemirl_trl.modules.actors import ContextPolicy
+from pemirl_trl.modules.context_encoder import ContextEncoder
+from pemirl_trl.modules.reward import ShapedReward
+from pemirl_trl.modules.standardize import Standardize
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Sizes of the paper's networks (Yu et al., 2019, Appendix E.1), all with ReLU.
+
+    Attributes:
+        context_dim: D, dimension of the latent context.
+        encoder_hidden, policy_hidden, reward_hidden: widths of the hidden layers.
+        reward_gamma: discount of the potential in f.
+        initial_scale: the policy's deviation before training.
+        max_scale: what the policy's deviation never exceeds.
+    """
+
+    context_dim: int = 3
+    encoder_hidden: Sequence[int] = (128, 128)
+    policy_hidden: Sequence[int] = (64, 64)
+    reward_hidden: Sequence[int] = (32, 32)
+    reward_gamma: float = 0.99
+    initial_scale: float = 1.0
+    max_scale: float = 1.0
+
+
+class PEMIRLModel(nn.Module):
+    """q_psi(m|tau), r_theta(s, m) with h_phi(s, m), and pi_omega(a|s, m), for one domain.
+
+    Attributes:
+        encoder, reward, policy: the three networks; they share the map of observations.
+
+    Args:
+        observation_dim, action_dim, horizon: S, A and T of the domain.
+        config: sizes.
+        standardize: the map of observations, commonly fitted on the demonstrations.
+    """
+
+    def __init__(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        horizon: int,
+        config: ModelConfig | None = None,
+        standardize: Standardize | None = None,
+    ) -> None:
+        super().__init__()
+        self.config = config = config or ModelConfig()
+        self.observation_dim, self.action_dim, self.horizon = observation_dim, action_dim, horizon
+        self.standardize = standardize or Standardize.identity(observation_dim)
+        self.encoder = ContextEncoder(
+            observation_dim,
+            action_dim,
+            config.context_dim,
+            horizon,
+            hidden=config.encoder_hidden,
+            standardize=self.standardize,
+        )
+        self.reward = ShapedReward(
+            observation_dim,
+            config.context_dim,
+            gamma=config.reward_gamma,
+            hidden=config.reward_hidden,
+            standardize=self.standardize,
+        )
+        self.policy = self.new_policy()
+
+    def new_policy(
+        self, initial_scale: float | None = None, max_scale: float | None = None
+    ) -> ContextPolicy:
+        """A freshly initialised policy of this model's sizes, as adaptation starts from."""
+        config = self.config
+        return ContextPolicy(
+            self.observation_dim,
+            self.action_dim,
+            config.context_dim,
+            hidden=config.policy_hidden,
+            standardize=self.standardize,
+            initial_scale=config.initial_scale if initial_scale is None else initial_scale,
+            max_scale=config.max_scale if max_scale is None else max_scale,
+        )

@@ -1,0 +1,55 @@
+"""One affine map of observations, shared by every network."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import torch
+from torch import Tensor, nn
+
+
+class Standardize(nn.Module):
+    """(x - loc) / scale with fixed ``loc`` and ``scale``, part of a model's saved state.
+
+    Every network of a model holds the same map, so that networks take raw observations and
+    gradients with respect to observations can be stated in standardised units.
+
+    Args:
+        loc, scale: ``[S]``; the scale is positive.
+    """
+
+    loc: Tensor
+    scale: Tensor
+
+    def __init__(self, loc: Tensor, scale: Tensor) -> None:
+        super().__init__()
+        if loc.shape != scale.shape or loc.ndim != 1:
+            raise ValueError(
+                f"expected loc and scale of one shape [features], got {tuple(loc.shape)} and "
+                f"{tuple(scale.shape)}"
+            )
+        if not (scale > 0).all():
+            raise ValueError(f"expected positive scales, got {scale.tolist()}")
+        self.register_buffer("loc", loc.detach().clone())
+        self.register_buffer("scale", scale.detach().clone())
+
+    @classmethod
+    def identity(cls, features: int) -> Self:
+        """The map that changes nothing."""
+        return cls(torch.zeros(features), torch.ones(features))
+
+    @classmethod
+    def fit(cls, values: Tensor) -> Self:
+        """Zero mean and unit deviation of ``values`` ``[..., S]``; constant features keep scale 1."""
+        rows = values.reshape(-1, values.shape[-1])
+        scale = rows.std(0)
+        return cls(rows.mean(0), torch.where(scale > 1e-6, scale, torch.ones_like(scale)))
+
+    @property
+    def features(self) -> int:
+        """Dimension of the vectors it takes."""
+        return self.loc.numel()
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Map ``[..., S]`` to ``[..., S]``."""
+        return (values - self.loc) / self.scale

@@ -1,0 +1,135 @@
+"""The mutual information between context and trajectory, for the encoder and for the reward."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictParams, dispatch
+from tensordict.utils import NestedKey
+
+from pemirl_trl.functional import info_encoder_loss, info_reward_loss
+from pemirl_trl.modules import ShapedReward
+from pemirl_trl.objectives.common import KeyedLoss, per_rollout
+
+Summand = Literal["shaped", "state"]
+
+
+class InfoLoss(KeyedLoss):
+    r"""L_info = E log q_psi(m|tau) over rollouts of the policy, as two losses.
+
+    - ``loss_info_encoder`` = -mean log q_psi(m|tau), with m the context that produced the rollout,
+      as data: its gradient reaches psi alone (Equation 7 of Yu et al., 2019);
+    - ``loss_info_reward``: its gradient reaches theta (and phi) alone and is an unbiased estimate
+      of minus Lemma 2, Cov(log q, grad R_theta) within each context; see
+      :func:`pemirl_trl.functional.info_reward_loss`.
+
+    Metric (detached): ``log_q``, the mean of log q_psi(m|tau) in nats.
+
+    Args:
+        encoder: q_psi; needs ``get_dist``.
+        reward: r and f.
+        rollouts_per_context: K >= 2; the batch holds the K rollouts of each context in a row.
+        summand: what R_theta sums over the rollout: ``"shaped"`` f, as the paper, of which the
+            potentials telescope to the end states, or ``"state"`` r alone.
+        time_mean: average over time instead of summing, which divides the estimate by T.
+        normalize: divide log q by its deviation over the batch, which rescales the estimate.
+    """
+
+    @dataclass
+    class _AcceptedKeys:
+        observation: NestedKey = "observation"
+        action: NestedKey = "action"
+        next_observation: NestedKey = ("next", "observation")
+        context: NestedKey = "context"
+
+    default_keys = _AcceptedKeys
+    tensor_keys: _AcceptedKeys
+    out_keys = ["loss_info_encoder", "loss_info_reward", "log_q"]  # noqa: RUF012 (TorchRL's)
+
+    encoder_network: ProbabilisticTensorDictSequential
+    encoder_network_params: TensorDictParams
+    target_encoder_network_params: TensorDictParams
+    reward_network: ShapedReward
+    reward_network_params: TensorDictParams
+    target_reward_network_params: TensorDictParams
+
+    def __init__(
+        self,
+        encoder: ProbabilisticTensorDictSequential,
+        reward: ShapedReward,
+        *,
+        rollouts_per_context: int,
+        summand: Summand = "shaped",
+        time_mean: bool = False,
+        normalize: bool = False,
+    ) -> None:
+        if summand not in get_args(Summand):
+            raise ValueError(f"unknown summand {summand!r}; choose one of {get_args(Summand)}")
+        super().__init__()
+        self.convert_to_functional(encoder, "encoder_network", create_target_params=False)
+        self.convert_to_functional(reward, "reward_network", create_target_params=False)
+        self.rollouts_per_context = rollouts_per_context
+        self.summand = summand
+        self.time_mean = time_mean
+        self.normalize = normalize
+
+    def _input_keys(self) -> list[NestedKey]:
+        k = self.tensor_keys
+        return [k.observation, k.action, k.next_observation, k.context]
+
+    @dispatch
+    def forward(self, tensordict: TensorDictBase) -> TensorDict:
+        """Compute both losses.
+
+        Args:
+            tensordict: rollouts ``[N, T]`` or ``[N]`` with leaves ``[N, T, ...]``, N = M K,
+                context-major; ``context`` is ``[N, T, D]``, constant along T.
+        """
+        observation, action, next_observation, context = (
+            tensordict.get(key) for key in self._input_keys()
+        )
+        rollouts = observation.shape[0]
+        groups, rest = divmod(rollouts, self.rollouts_per_context)
+        if rest:
+            raise ValueError(
+                f"got {rollouts} rollouts, which {self.rollouts_per_context} rollouts per context "
+                "do not divide"
+            )
+        m = per_rollout(context.detach(), time_dim=1).view(groups, self.rollouts_per_context, -1)
+        if not torch.equal(m, m[:, :1].expand_as(m)):
+            raise ValueError(
+                f"the {self.rollouts_per_context} rollouts of a context must stand in a row and "
+                "share it; got groups with different contexts"
+            )
+        inputs = TensorDict({"observation": observation, "action": action}, [rollouts])
+        with self.encoder_network_params.to_module(
+            self.encoder_network, preserve_module_state=False
+        ):
+            log_q = self.encoder_network.get_dist(inputs).log_prob(m.flatten(0, 1))  # [N]
+        inputs = TensorDict(
+            {
+                "observation": observation,
+                ("next", "observation"): next_observation,
+                self.reward_network.in_keys[2]: context.detach(),
+            },
+            observation.shape[:2],
+        )
+        with self.reward_network_params.to_module(self.reward_network, preserve_module_state=False):
+            outputs = self.reward_network(inputs)
+        key = self.reward_network.out_keys[1 if self.summand == "shaped" else 0]
+        per_step = outputs.get(key).squeeze(-1)  # [N, T]
+        returns = per_step.mean(-1) if self.time_mean else per_step.sum(-1)
+        shape = (groups, self.rollouts_per_context)
+        loss_reward = info_reward_loss(
+            log_q.view(shape), returns.view(shape), normalize=self.normalize
+        )
+        return TensorDict(
+            {
+                "loss_info_encoder": info_encoder_loss(log_q),
+                "loss_info_reward": loss_reward,
+                "log_q": log_q.detach().mean(),
+            }
+        )

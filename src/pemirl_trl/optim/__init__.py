@@ -1,0 +1,7 @@
+"""The trust-region step: conjugate gradient and line search on explicit parameters."""
+
+from pemirl_trl.optim.conjugate_gradient import conjugate_gradient
+from pemirl_trl.optim.routing import descend
+from pemirl_trl.optim.trust_region import TrustRegionOptimizer, TrustRegionResult
+
+__all__ = ["TrustRegionOptimizer", "TrustRegionResult", "conjugate_gradient", "descend"]

@@ -1,0 +1,7 @@
+"""Transforms for TorchRL environments and stored batches."""
+
+from pemirl_trl.transforms.context import InferContext
+from pemirl_trl.transforms.learned_reward import LearnedReward
+from pemirl_trl.transforms.tasks import SampleTasks
+
+__all__ = ["InferContext", "LearnedReward", "SampleTasks"]
