@@ -33,6 +33,8 @@ from pemirl_envs import TaskEnv, get_task, make
 
 HIDDEN = 64
 
+Runs = dict[str, Callable[[], object]]
+
 
 def gaussian_actor(env: TaskEnv) -> ProbabilisticActor:
     """A Gaussian policy with two hidden layers of 64 tanh units."""
@@ -54,9 +56,7 @@ def gaussian_actor(env: TaskEnv) -> ProbabilisticActor:
     )
 
 
-def contenders(
-    name: str, num_envs: int, num_threads: int | None
-) -> dict[str, Callable[[], object]]:
+def contenders(name: str, num_envs: int, num_threads: int | None) -> Runs:
     """One episode of ``num_envs`` simulations in each way, by the name of the way."""
     task = get_task(name)
     env = make(name, num_envs, seed=0, num_threads=num_threads)
@@ -101,7 +101,7 @@ def contenders(
     }
 
 
-def measure(runs: dict[str, Callable[[], object]], repetitions: int) -> dict[str, list[float]]:
+def measure(runs: Runs, repetitions: int) -> dict[str, list[float]]:
     """Wall-clock seconds of each repetition of each run, interleaved, after one warm-up."""
     seconds: dict[str, list[float]] = {name: [] for name in runs}
     with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
@@ -115,7 +115,7 @@ def measure(runs: dict[str, Callable[[], object]], repetitions: int) -> dict[str
 
 
 def report(arguments: argparse.Namespace, seconds: dict[str, list[float]]) -> dict[str, object]:
-    """Steps per second of each contender and its ratio to the raw engine, repetition by repetition."""
+    """Median steps per second of each contender, and median of its ratio to the raw engine."""
     steps = arguments.num_envs * get_task(arguments.task).horizon
     raw = seconds["raw engine"]
     return {

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
+
+try:
+    import mujoco  # noqa: F401  # first, for the sake of the message
+except (AttributeError, ImportError, RuntimeError) as error:
+    raise ImportError(
+        f"MuJoCo could not be imported with MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}. Where its "
+        "OpenGL library is missing, install it (Debian: apt-get install --no-install-recommends "
+        "libosmesa6, with MUJOCO_GL=osmesa), or set MUJOCO_GL=disable to go without rendering"
+    ) from error
 
 from dm_control.rl.control import Environment
 from tensordict import TensorDict

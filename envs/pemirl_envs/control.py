@@ -78,7 +78,7 @@ class ControlTask(control.Task):
         self._split = split
         self._given = None
         if parameters is not None:
-            self._given = {k: torch.as_tensor(v)[None] for k, v in parameters.items()}
+            self._given = {k: torch.tensor(np.asarray(v))[None] for k, v in parameters.items()}
             task.validate_parameters(self._given, 1)
         if not isinstance(random, np.random.RandomState):
             random = np.random.RandomState(random)
@@ -100,9 +100,8 @@ class ControlTask(control.Task):
         # TorchRL's DMControlWrapper seeds an environment by assigning to this name. The first word
         # of a new Mersenne Twister's key is its seed: an int seeds this face as it does the others.
         self._random_state = state
-        self._generator = Generator().manual_seed(
-            int(state.get_state(legacy=False)["state"]["key"][0])
-        )
+        seed = state.get_state(legacy=False)["state"]["key"][0]
+        self._generator = Generator().manual_seed(int(seed))
 
     def initialize_episode(self, physics: Physics) -> None:
         """Draws the task parameters and the initial state."""
@@ -119,7 +118,7 @@ class ControlTask(control.Task):
             SimulationError: the action is not finite.
         """
         low, high = self._task.action_bounds
-        applied = torch.as_tensor(action)
+        applied = torch.tensor(np.asarray(action))
         if not check_action(applied, low.shape):
             raise SimulationError({0: "the action is not finite"})
         applied = torch.clamp(applied[None], low, high)

@@ -30,7 +30,9 @@ def check_action(action: Tensor, expected: tuple[int, ...]) -> Tensor:
         ValueError: the action does not have the expected shape.
     """
     if action.shape != expected:
-        raise ValueError(f"expected an action of shape {expected}, got {tuple(action.shape)}")
+        raise ValueError(
+            f"expected an action of shape {tuple(expected)}, got {tuple(action.shape)}"
+        )
     return torch.isfinite(action).all(-1)
 
 

@@ -96,7 +96,7 @@ class GymVectorEnv(VectorEnv[Array, Array, Array]):
             ValueError: ``actions`` does not have the shape ``[N, A]``.
             SimulationError: some simulations failed; ``partial`` is what would be returned.
         """
-        reward, failures = self.episodes.step(torch.as_tensor(np.asarray(actions)))
+        reward, failures = self.episodes.step(torch.tensor(np.asarray(actions)))
         observation, info = self.episodes.observe(), _info(self.episodes)
         ended = self.episodes.truncated()
         if ended.any():
@@ -163,7 +163,7 @@ class GymEnv(gymnasium.Env[Array, Array]):
             ValueError: ``action`` does not have the shape ``[A]``.
             SimulationError: the simulation failed, and has not moved.
         """
-        reward, failures = self.episodes.step(torch.as_tensor(np.asarray(action))[None])
+        reward, failures = self.episodes.step(torch.tensor(np.asarray(action))[None])
         observation, info = self._observed()
         result = (observation, float(reward), False, bool(self.episodes.truncated()), info)
         if failures:
@@ -204,7 +204,7 @@ def _reset(episodes: Episodes, seed: int | None, options: dict[str, Any] | None)
     options = options or {}
     mask = options.get("reset_mask")
     episodes.reset(
-        None if mask is None else torch.as_tensor(mask),
+        None if mask is None else torch.tensor(np.asarray(mask, dtype=bool)),
         _given_parameters(episodes, options["task"]) if "task" in options else None,
     )
 
@@ -213,7 +213,7 @@ def _given_parameters(episodes: Episodes, given: dict[str, Any]) -> dict[str, Te
     """One value for each episode or one for all, as ``[N, ...]``."""
     num_sims = episodes.simulation.num_sims
     bounds = episodes.task.parameter_bounds
-    values = {name: torch.as_tensor(np.asarray(value)) for name, value in given.items()}
+    values = {name: torch.tensor(np.asarray(value)) for name, value in given.items()}
     return {
         name: value.expand(num_sims, *value.shape)
         if name in bounds and value.shape == bounds[name][0].shape

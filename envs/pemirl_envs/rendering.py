@@ -100,10 +100,10 @@ def render(task: Task, states: Tensor, **view: Any) -> Frame:
 
 
 def write_video(path: str | os.PathLike[str], frames: Frame, fps: float) -> None:
-    """Writes frames, uint8 ``[T, H, W, 3]``, as a video in the format of the suffix (mp4, gif).
+    """Writes frames, uint8 ``[T, H, W, 3]``, as an mp4 video.
 
     Raises:
-        ImportError: imageio (for mp4 with its ffmpeg plugin, ``imageio[ffmpeg]``) is missing.
+        ImportError: ``imageio[ffmpeg]`` is not installed.
     """
     import imageio.v3  # optional: nothing else needs it
 

@@ -30,6 +30,8 @@ class TaskEnv(EnvBase):
     ``reset`` takes ``("task", name)`` from its tensordict where that has them, and draws them from
     the split otherwise. With ``_reset``, the named simulations alone are reset, and they alone take
     given parameters. ``set_seed`` restarts the one stream from which everything random is drawn.
+    The simulations live in native memory, so the environment cannot be pickled: give workers a
+    factory, ``functools.partial(make, ...)``.
 
     A step in which some simulations fail raises :class:`~pemirl_envs.SimulationError`; the rows of
     the others are in its ``partial``, and after a reset of the failed ones the batch goes on::

@@ -1,1 +1,79 @@
-"""tmp"""
+"""Meta inverse RL from unlabelled demonstrations, as TorchRL components.
+
+PEMIRL (Yu, Yu, Finn and Ermon, NeurIPS 2019) meta-learns an inference model q(m | demonstration)
+and a reward r(s, m). One table of all keys, with N = M K rollouts of T steps (M contexts, K
+rollouts each, context-major):
+
+======================== =========== ============ =============================================
+key                      shape       symbol       written by
+======================== =========== ============ =============================================
+observation              [N, T, S]   s_t          the environment; never holds the task
+action                   [N, T, A]   a_t          ContextPolicy; as drawn, before any clipping
+("next", "observation")  [N, T, S]   s_{t+1}      the environment
+context                  [N, T, D]   m            InferContext, once per rollout
+context_loc              [N, D]      mean of q    ContextEncoder
+context_scale            [N, D]      deviation    ContextEncoder
+demonstration            [N, T]      index        InferContext: which demonstration m is from
+loc, scale               [N, T, A]                ContextPolicy: parameters of pi at collection
+action_log_prob          [N, T]      log pi       ContextPolicy, at collection
+learned_reward           [..., 1]    r_theta      ShapedReward
+shaped_reward            [..., 1]    f            ShapedReward: r + gamma h' - h
+logit_expert             [..., 1]    f - log pi   AIRLDiscriminator; high means expert
+("next", "reward")       [N, T, 1]   r            the environment, or LearnedReward in its place
+("next", "true_reward")  [N, T, 1]                LearnedReward: the environment's own, a metric
+advantage, value_target  [N, T, 1]                FiniteHorizonAdvantage
+("task", ...)            [N, T, ..]               ground truth; metrics may read it, no learner does
+loss_*                   []                       every loss; all else it returns is detached
+======================== =========== ============ =============================================
+"""
+
+from pemirl_trl.data import DemonstrationDataset, Negatives, Provenance
+from pemirl_trl.modules import (
+    AIRLDiscriminator,
+    ContextEncoder,
+    ContextPolicy,
+    ContextValue,
+    MaskedContextEncoder,
+    ModelConfig,
+    PEMIRLModel,
+    ShapedReward,
+    Standardize,
+)
+from pemirl_trl.objectives import (
+    DiscriminatorLoss,
+    FiniteHorizonAdvantage,
+    InfoLoss,
+    MetaILLoss,
+    TRPOLoss,
+    ValueLoss,
+)
+from pemirl_trl.optim import TrustRegionOptimizer, TrustRegionResult
+from pemirl_trl.transforms import InferContext, LearnedReward, SampleTasks
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "AIRLDiscriminator",
+    "ContextEncoder",
+    "ContextPolicy",
+    "ContextValue",
+    "DemonstrationDataset",
+    "DiscriminatorLoss",
+    "FiniteHorizonAdvantage",
+    "InferContext",
+    "InfoLoss",
+    "LearnedReward",
+    "MaskedContextEncoder",
+    "MetaILLoss",
+    "ModelConfig",
+    "Negatives",
+    "PEMIRLModel",
+    "Provenance",
+    "SampleTasks",
+    "ShapedReward",
+    "Standardize",
+    "TRPOLoss",
+    "TrustRegionOptimizer",
+    "TrustRegionResult",
+    "ValueLoss",
+]

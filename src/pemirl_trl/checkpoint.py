@@ -27,6 +27,7 @@ __all__ = [
     "TrainingCheckpoint",
     "atomic_path",
     "load_weights",
+    "read_metadata",
     "read_tensors",
     "save_weights",
     "write_tensors",
@@ -295,6 +296,15 @@ def save_weights(
     for name, module in modules.items():
         tensors |= _state_tensors(name, module)
     write_tensors(path, tensors, kind="weights", header={"metadata": dict(metadata)})
+
+
+def read_metadata(path: str | Path) -> dict[str, str]:
+    """The metadata of a file written by :func:`save_weights`.
+
+    Raises:
+        FileNotFoundError, ValueError: as :func:`read_tensors`.
+    """
+    return dict(read_tensors(path, kind="weights")[1]["metadata"])
 
 
 def load_weights(path: str | Path, modules: Mapping[str, nn.Module]) -> dict[str, str]:

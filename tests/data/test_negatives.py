@@ -85,6 +85,7 @@ def test_resumed_buffer_draws_the_same_and_goes_on_the_same(iterations):
     straight, resumed = filled(iterations), Negatives(3)
     resumed.load_state_dict({k: v.clone() for k, v in straight.state_dict().items()})
     assert len(resumed) == len(straight)
+    assert all(len(v) == len(straight) for v in straight.state_dict().values())
     for iteration in range(iterations, iterations + 5):
         straight.add(rollouts(iteration))
         resumed.add(rollouts(iteration))

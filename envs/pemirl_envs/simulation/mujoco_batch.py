@@ -54,9 +54,11 @@ class MujocoBatch:
                 f"expected num_sims >= 1 and num_threads >= 1, got {num_sims} and {num_threads}"
             )
         self._batch = mujoco.batch.Batch(model, num_sims, min(num_threads, num_sims))
+        self._before = np.empty_like(self._batch.state)  # reused: a new one costs its page faults
         self._stage = int(stage)
         self._computes_derived = stage != mujoco.mjtStage.mjSTAGE_NONE
-        self._fields: dict[str, Tensor] = {}
+        self._state_fields: dict[str, Tensor] = {}
+        self._derived_fields: dict[str, np.ndarray] = {}
 
     @property
     def num_sims(self) -> int:
@@ -74,29 +76,29 @@ class MujocoBatch:
         return torch.from_numpy(self._batch.state.copy())
 
     def field(self, name: str) -> Tensor:
-        """The current values of an ``MjData`` field, ``[N, ...]``: a live view; read, do not keep.
+        """The current values of an ``MjData`` field, ``[N, ...]``.
+
+        A state field is a live view, to read and not to keep. A derived field is a copy.
 
         Raises:
             ValueError: MuJoCo does not bind the field, or it is a derived one (``xpos``,
                 ``sensordata``, ...) and this batch computes no stage.
         """
-        if name not in self._fields:
-            self._fields[name] = self._bind(name)
-        return self._fields[name]
-
-    def _bind(self, name: str) -> Tensor:
+        if name in self._state_fields:
+            return self._state_fields[name]
         if name in STATE_FIELDS:
-            return torch.from_numpy(self._batch.bind(name))
+            self._state_fields[name] = torch.from_numpy(self._batch.bind(name))
+            return self._state_fields[name]
         if not self._computes_derived:
             raise ValueError(
                 f"the field {name!r} is derived from the state, and this batch computes no stage: "
                 f"pass stage=mujoco.mjtStage.mjSTAGE_POS (or _VEL, _ACC), or read one of "
                 f"{', '.join(STATE_FIELDS)}"
             )
-        values = self._batch.bind(name)
-        self._batch.forward(stage=self._stage)  # a newly bound field is zero until the next call
-        # Shares the memory that MuJoCo refreshes; torch refuses arrays flagged read-only.
-        return torch.from_numpy(np.lib.stride_tricks.as_strided(values, writeable=True))
+        if name not in self._derived_fields:
+            self._derived_fields[name] = self._batch.bind(name)
+            self._batch.forward(stage=self._stage)  # it would be zero until the next call
+        return torch.from_numpy(self._derived_fields[name].copy())
 
     def write(self, state: State, mask: Tensor | None = None) -> None:
         """Writes state fields of the simulations in ``mask`` (bool ``[N]``; ``None``: all).
@@ -123,7 +125,7 @@ class MujocoBatch:
         MuJoCo resets a simulation whose state turns bad (non-finite or huge) to the model's
         defaults and goes on; its warning counters alone tell. Such a simulation counts as failed.
         """
-        before = self._batch.state.copy()
+        np.copyto(self._before, self._batch.state)
         failures: dict[int, str] = {}
         try:
             self._batch.step(_ids(mask), n_sub_steps, self._stage)
@@ -135,11 +137,11 @@ class MujocoBatch:
                 names = ", ".join(_WARNINGS[w] for w in np.flatnonzero(counts[i]))
                 failures[int(i)] = f"MuJoCo warned of {names}"
         if failures:
-            self._restore(before, sorted(failures))
+            self._restore(sorted(failures))
         return failures
 
-    def _restore(self, before: np.ndarray, ids: list[int]) -> None:
-        self._batch.state[ids] = before[ids]
+    def _restore(self, ids: list[int]) -> None:
+        self._batch.state[ids] = self._before[ids]
         self._batch.warning[ids] = 0
         if self._computes_derived:
             self._batch.forward(np.asarray(ids, np.int32), stage=self._stage)

@@ -13,10 +13,12 @@ from pemirl_trl.evaluation.results import (
 )
 from pemirl_trl.evaluation.reward_quality import (
     argmax_error,
+    distance_to_goal,
     position_grid,
     reward_on_grid,
     spearman_with_distance,
 )
+from pemirl_trl.evaluation.returns import episode_returns
 from pemirl_trl.evaluation.statistics import Interval, bootstrap_interval, spearman, t_interval
 
 __all__ = [
@@ -25,7 +27,9 @@ __all__ = [
     "Result",
     "argmax_error",
     "bootstrap_interval",
+    "distance_to_goal",
     "environment_facts",
+    "episode_returns",
     "normalised_return",
     "position_grid",
     "read",

@@ -15,7 +15,9 @@ from torch.nn.functional import softplus
 PolicyReward = Literal["state", "shaped", "score"]
 
 
-def shaped_reward(reward: Tensor, potential: Tensor, next_potential: Tensor, gamma: float) -> Tensor:
+def shaped_reward(
+    reward: Tensor, potential: Tensor, next_potential: Tensor, gamma: float
+) -> Tensor:
     r"""Reward plus potential shaping, f = r(s, m) + gamma h(s', m) - h(s, m).
 
     Along a trajectory the potentials telescope: for gamma = 1, sum_t f = sum_t r + h(s_T) - h(s_0).

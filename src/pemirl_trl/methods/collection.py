@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.collectors import Collector
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, TransformedEnv
 
 from pemirl_trl.modules import ContextPolicy
 
@@ -49,3 +51,19 @@ class EpisodeCollector:
                 f"{sorted((done.squeeze(-1).nonzero()[:, 1] + 1).unique().tolist())}"
             )
         return rollouts
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """The environment's random state, where it can tell it (``get_rng_state``)."""
+        base = _unwrapped(self.env)
+        return {"rng": base.get_rng_state()} if hasattr(base, "get_rng_state") else {}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Take that state back."""
+        if "rng" in state:
+            _unwrapped(self.env).set_rng_state(state["rng"])
+
+
+def _unwrapped(env: EnvBase) -> Any:
+    while isinstance(env, TransformedEnv):
+        env = env.base_env
+    return env

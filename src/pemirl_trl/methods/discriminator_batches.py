@@ -64,7 +64,7 @@ class DiscriminatorBatches:
     def sample(self, last: int) -> TensorDict:
         """One batch, with ``is_expert``; negatives come from the ``last`` iterations."""
         expert, policy = self._expert(), self._policy(last)
-        return torch.cat([expert, policy]).reshape(-1)
+        return TensorDict.cat([expert, policy]).reshape(-1)
 
     def _expert(self) -> TensorDict:
         c = self.config
@@ -91,8 +91,7 @@ class DiscriminatorBatches:
             for count, reach in ((current, 1), (c.trajectories - current, last))
             if count > 0
         ]
-        batch = torch.cat(parts)
-        batch = batch.select(*FIELDS, "action_log_prob")
+        batch = TensorDict.cat(parts).select(*FIELDS, "action_log_prob")
         if c.jitter_fraction > 0:
             self._jitter(batch)
         return batch.set("is_expert", _flag(batch["action_log_prob"], False))

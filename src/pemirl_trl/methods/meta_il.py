@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torch.optim import Adam
 
+from pemirl_trl.methods.loop import iteration_count
 from pemirl_trl.modules import PEMIRLModel
 from pemirl_trl.objectives import MetaILLoss
 from pemirl_trl.optim import descend
@@ -19,7 +20,7 @@ class MetaILConfig:
     """Of the imitation.
 
     Attributes:
-        steps: Adam steps in all.
+        steps: Adam steps in all, a multiple of ``steps_per_iteration``.
         steps_per_iteration: how many of them one iteration does.
         batch_size: demonstrations per step.
         lr: of Adam.
@@ -46,7 +47,7 @@ class MetaIL:
         self, model: PEMIRLModel, demonstrations: TensorDictBase, config: MetaILConfig
     ) -> None:
         self.config, self.model, self.demonstrations = config, model, demonstrations
-        self.iterations = max(1, config.steps // config.steps_per_iteration)
+        self.iterations = iteration_count(config.steps, config.steps_per_iteration)
         self.env_steps = 0
         self.loss = MetaILLoss(model.encoder, model.policy, kl_coeff=config.kl_coeff)
         self.optimizer = Adam(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -71,7 +72,7 @@ class PEMIRL:
     Args:
         model: q_psi, r_theta, h_phi and pi_omega, trained in place; q_psi commonly initialised by
             Meta-IL and pi_omega fresh.
-        env: batch size ``[M K]``, carrying :class:`pemirl_trl.InferContext` over ``demonstrations``.
+        env: batch size ``[M K]``, with :class:`pemirl_trl.InferContext` over ``demonstrations``.
         demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``; unlabelled.
         config: of the training.
     """
@@ -158,7 +159,7 @@ class PEMIRL:
         metrics = self._policy_step(batch, self._imitation_loss(rollouts))
         return {"return/learned": float(reward.sum(1).mean()), **metrics}
 
-    def _imitation_loss(self, rollouts: TensorDictBase) -> Any:  # noqa: ANN401
+    def _imitation_loss(self, rollouts: TensorDictBase) -> Callable[[], Tensor] | None:
         if self.config.imitation_coeff == 0:
             return None
         first = rollouts[:: self.config.rollouts_per_context]  # one row per context
@@ -182,6 +183,7 @@ class PEMIRL:
             "encoder_optimizer": self._encoder_optimizer,
             "reward_optimizer": self._reward_optimizer,
             "negatives": self.negatives,
+            "collector": self._collect,
             "progress": self,
         }
 

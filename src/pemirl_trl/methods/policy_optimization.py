@@ -62,8 +62,9 @@ class PolicyOptimization:
         self.env_steps = 0
         self._collect = EpisodeCollector(env, policy, horizon)
         self._initial_log_scale = policy.log_scale.detach().clone()
-        params = None if config.final_scale is None else policy.mean_parameters()
-        self._step = PolicyStep(policy, config.trpo, rollouts_per_context, params)
+        if config.final_scale is not None:
+            policy.log_scale.requires_grad_(False)
+        self._step = PolicyStep(policy, config.trpo, rollouts_per_context)
         self._learned = None if reward is None else LearnedReward(reward)
         self._iteration = 0
 
@@ -91,7 +92,7 @@ class PolicyOptimization:
 
     def components(self) -> dict[str, Any]:
         """What a checkpoint holds."""
-        return {"policy": self.policy, "progress": self}
+        return {"policy": self.policy, "collector": self._collect, "progress": self}
 
     def state_dict(self) -> dict[str, Any]:
         """Counters of the run."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor, nn
+from torch import Tensor
 
 from pemirl_trl.modules import ContextPolicy
 from pemirl_trl.objectives import FiniteHorizonAdvantage, TRPOLoss
@@ -42,7 +42,6 @@ class PolicyStep:
         policy: moved in place.
         config: of the step.
         rollouts_per_context: K; consecutive rollouts that share a context and a baseline.
-        params: what to move; by default all of the policy.
     """
 
     def __init__(
@@ -50,7 +49,6 @@ class PolicyStep:
         policy: ContextPolicy,
         config: TRPOConfig,
         rollouts_per_context: int,
-        params: Sequence[nn.Parameter] | None = None,
     ) -> None:
         self.policy = policy
         self.config = config
@@ -62,7 +60,7 @@ class PolicyStep:
             observation_map=policy.gaussian.standardize,
         )
         self.optimizer = TrustRegionOptimizer(
-            policy.parameters() if params is None else params,
+            policy.parameters(),
             max_kl=config.max_kl,
             cg_iterations=config.cg_iterations,
             damping=config.damping,
@@ -97,5 +95,6 @@ class PolicyStep:
             "trpo/improvement": result.improvement,
             "trpo/backtracks": float(result.backtracks),
             "trpo/cg_residual": result.cg_residual,
+            "trpo/gradient_norm": result.gradient_norm,
             "policy/scale": float(self.policy.log_scale.detach().exp().mean()),
         }

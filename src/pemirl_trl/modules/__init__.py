@@ -4,12 +4,11 @@ from pemirl_trl.modules.actors import ContextPolicy, ContextValue
 from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder
 from pemirl_trl.modules.discriminator import AIRLDiscriminator
 from pemirl_trl.modules.model import ModelConfig, PEMIRLModel
-from pemirl_trl.modules.reward import AveragedReward, ShapedReward
+from pemirl_trl.modules.reward import ShapedReward
 from pemirl_trl.modules.standardize import Standardize
 
 __all__ = [
     "AIRLDiscriminator",
-    "AveragedReward",
     "ContextEncoder",
     "ContextPolicy",
     "ContextValue",

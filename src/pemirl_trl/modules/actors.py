@@ -23,21 +23,19 @@ class _GaussianParameters(TensorDictModuleBase):
         self,
         net: nn.Module,
         standardize: Standardize,
-        log_scale: Tensor,
-        max_scale: float,
+        log_scale: nn.Parameter,
         context_key: NestedKey,
     ) -> None:
         super().__init__()
         self.in_keys = ["observation", context_key]
         self.out_keys = ["loc", "scale"]
         self.standardize, self.net = standardize, net
-        self.max_log_scale = math.log(max_scale)
-        self.log_scale = nn.Parameter(log_scale)
+        self.log_scale = log_scale
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         observation, context = (tensordict.get(key) for key in self.in_keys)
         loc = self.net(self.standardize(observation), context)
-        scale = self.log_scale.clamp(max=self.max_log_scale).exp().expand_as(loc)
+        scale = self.log_scale.exp().expand_as(loc)
         return tensordict.set("loc", loc).set("scale", scale)
 
 
@@ -53,9 +51,9 @@ class ContextPolicy(ProbabilisticActor):
         hidden, activation: of the mean (the paper's: 2 x 64).
         standardize: map of observations; by default none.
         initial_scale: deviation before training.
-        max_scale: the deviation never exceeds this. Where a simulator clamps actions, entropy
-            costs nothing beyond the clamp, and an entropy-seeking objective would buy it without
-            end.
+        learn_scale: whether the deviation is learned, or held (and moved by schedules alone).
+            Where a simulator clamps actions, entropy costs nothing beyond the clamp, and an
+            entropy-seeking objective would buy it without end: hold the deviation there.
         context_key: where m stands. An expert that knows its task reads the task parameters
             instead of a context: ``context_key=("task", "goal")``.
     """
@@ -70,7 +68,7 @@ class ContextPolicy(ProbabilisticActor):
         activation: type[nn.Module] = nn.ReLU,
         standardize: Standardize | None = None,
         initial_scale: float = 1.0,
-        max_scale: float = math.inf,
+        learn_scale: bool = True,
         context_key: NestedKey = "context",
     ) -> None:
         net = MLP(
@@ -82,8 +80,9 @@ class ContextPolicy(ProbabilisticActor):
         gaussian = _GaussianParameters(
             net,
             standardize or Standardize.identity(observation_dim),
-            torch.full((action_dim,), math.log(initial_scale)),
-            max_scale,
+            nn.Parameter(
+                torch.full((action_dim,), math.log(initial_scale)), requires_grad=learn_scale
+            ),
             context_key,
         )
         super().__init__(
@@ -97,12 +96,8 @@ class ContextPolicy(ProbabilisticActor):
 
     @property
     def log_scale(self) -> nn.Parameter:
-        """Logarithm of the deviation, ``[A]``, before the cap."""
+        """Logarithm of the deviation, ``[A]``."""
         return self.gaussian.log_scale
-
-    def mean_parameters(self) -> list[nn.Parameter]:
-        """The parameters of the mean, which a schedule of the deviation leaves to be learned."""
-        return [p for p in self.parameters() if p is not self.log_scale]
 
 
 class _ValueNet(nn.Module):

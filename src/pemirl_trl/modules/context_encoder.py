@@ -31,7 +31,9 @@ def diagonal_normal(loc: Tensor, scale: Tensor) -> Independent:
 class _GaussianHead(nn.Module):
     """Splits features into a location and a scale, with one scale for all inputs if so told."""
 
-    def __init__(self, context_dim: int, scale_depends_on_input: bool, initial_scale: float) -> None:
+    def __init__(
+        self, context_dim: int, scale_depends_on_input: bool, initial_scale: float
+    ) -> None:
         super().__init__()
         self.context_dim = context_dim
         self.depends = scale_depends_on_input
@@ -73,17 +75,15 @@ class _MaskedTrajectoryNet(nn.Module):
         super().__init__()
         self.standardize, self.step_net, self.net, self.head = standardize, step_net, net, head
 
-    def forward(
-        self, observation: Tensor, action: Tensor, mask: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
-        steps = self.step_net(torch.cat([self.standardize(observation), action], -1))
-        if mask is None:
-            mask = torch.ones(steps.shape[:-1], dtype=torch.bool, device=steps.device)
+    def forward(self, observation: Tensor, action: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        inputs = torch.cat([self.standardize(observation), action], -1)
         if not mask.any(-1).all():
             raise ValueError("a trajectory has no valid step: its mask is False everywhere")
-        # Select rather than multiply: padding may hold NaN.
-        valid = torch.where(mask.unsqueeze(-1), steps, torch.zeros_like(steps))
-        mean = valid.sum(-2) / mask.sum(-1, keepdim=True)
+        # Select rather than multiply, and before the network as well as after: padding may hold
+        # NaN, which a zero gradient times the input would carry into the weights' gradient.
+        valid = mask.unsqueeze(-1)
+        steps = self.step_net(torch.where(valid, inputs, 0.0))
+        mean = torch.where(valid, steps, 0.0).sum(-2) / mask.sum(-1, keepdim=True)
         return self.head(self.net(mean))
 
 
@@ -210,5 +210,5 @@ class MaskedContextEncoder(_GaussianContext):
     def _with_mask(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.mask_key in tensordict.keys(True):
             return tensordict
-        shape = tensordict.get("observation").shape[:-1]
-        return tensordict.set(self.mask_key, torch.ones(shape, dtype=torch.bool))
+        like = tensordict.get("observation")[..., 0]
+        return tensordict.set(self.mask_key, torch.ones_like(like, dtype=torch.bool))

@@ -21,8 +21,7 @@ class ModelConfig:
         context_dim: D, dimension of the latent context.
         encoder_hidden, policy_hidden, reward_hidden: widths of the hidden layers.
         reward_gamma: discount of the potential in f.
-        initial_scale: the policy's deviation before training.
-        max_scale: what the policy's deviation never exceeds.
+        policy_scale: the policy's deviation before training.
     """
 
     context_dim: int = 3
@@ -30,8 +29,7 @@ class ModelConfig:
     policy_hidden: Sequence[int] = (64, 64)
     reward_hidden: Sequence[int] = (32, 32)
     reward_gamma: float = 0.99
-    initial_scale: float = 1.0
-    max_scale: float = 1.0
+    policy_scale: float = 1.0
 
 
 class PEMIRLModel(nn.Module):
@@ -75,17 +73,14 @@ class PEMIRLModel(nn.Module):
         )
         self.policy = self.new_policy()
 
-    def new_policy(
-        self, initial_scale: float | None = None, max_scale: float | None = None
-    ) -> ContextPolicy:
+    def new_policy(self, scale: float | None = None, *, learn_scale: bool = True) -> ContextPolicy:
         """A freshly initialised policy of this model's sizes, as adaptation starts from."""
-        config = self.config
         return ContextPolicy(
             self.observation_dim,
             self.action_dim,
-            config.context_dim,
-            hidden=config.policy_hidden,
+            self.config.context_dim,
+            hidden=self.config.policy_hidden,
             standardize=self.standardize,
-            initial_scale=config.initial_scale if initial_scale is None else initial_scale,
-            max_scale=config.max_scale if max_scale is None else max_scale,
+            initial_scale=self.config.policy_scale if scale is None else scale,
+            learn_scale=learn_scale,
         )

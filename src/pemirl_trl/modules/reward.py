@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 
-import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
@@ -78,46 +76,3 @@ class ShapedReward(TensorDictModuleBase):
             self.gamma,
         )
         return tensordict.set(self.out_keys[0], reward).set(self.out_keys[1], shaped)
-
-
-class AveragedReward(TensorDictModuleBase):
-    r"""The mean of several reward functions, r(s, m) = 1/n sum_i r_i(s, m): no weights are averaged.
-
-    Reads ``observation`` and ``context``; writes ``learned_reward`` ``[..., 1]``. Its members run
-    as one batched network.
-
-    Args:
-        members: rewards of one architecture; their weights are copied.
-    """
-
-    in_keys: list[NestedKey]
-    out_keys: list[NestedKey]
-
-    def __init__(self, members: Sequence[ShapedReward]) -> None:
-        super().__init__()
-        if not members:
-            raise ValueError("expected at least one reward to average, got none")
-        self.in_keys = ["observation", members[0].in_keys[2]]
-        self.out_keys = ["learned_reward"]
-        self.standardize = members[0].standardize
-        # An untracked skeleton: only the stacked weights are state.
-        self.__dict__["_skeleton"] = copy.deepcopy(members[0].reward_net).to("meta")
-        stacked, _ = torch.func.stack_module_state([m.reward_net for m in members])
-        self._names = list(stacked)
-        for name, values in stacked.items():
-            self.register_buffer(name.replace(".", "__"), values.detach().clone())
-
-    def reward(self, observation: Tensor, context: Tensor) -> Tensor:
-        """r(s, m) ``[..., 1]`` of observations ``[..., S]`` and contexts ``[..., D]``."""
-        weights = {name: self.get_buffer(name.replace(".", "__")) for name in self._names}
-        inputs = torch.cat([self.standardize(observation), context], -1)
-
-        def member(parameters: dict[str, Tensor]) -> Tensor:
-            return torch.func.functional_call(self._skeleton, parameters, (inputs,))
-
-        return torch.func.vmap(member)(weights).mean(0)
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write r into ``tensordict``."""
-        observation, context = (tensordict.get(k) for k in self.in_keys)
-        return tensordict.set(self.out_keys[0], self.reward(observation, context))

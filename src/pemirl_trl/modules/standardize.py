@@ -40,7 +40,7 @@ class Standardize(nn.Module):
 
     @classmethod
     def fit(cls, values: Tensor) -> Self:
-        """Zero mean and unit deviation of ``values`` ``[..., S]``; constant features keep scale 1."""
+        """Zero mean and unit deviation of ``values`` ``[..., S]``; constants keep scale 1."""
         rows = values.reshape(-1, values.shape[-1])
         scale = rows.std(0)
         return cls(rows.mean(0), torch.where(scale > 1e-6, scale, torch.ones_like(scale)))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.objectives import LossModule
@@ -24,7 +22,7 @@ class KeyedLoss(LossModule):
     def _input_keys(self) -> list[NestedKey]:
         raise TypeError(f"{type(self).__name__} does not say which keys it reads")
 
-    def _forward_value_estimator_keys(self, **kwargs: Any) -> None:  # noqa: ANN401 (TorchRL's)
+    def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
         self._in_keys = None
 
     @property
@@ -37,19 +35,6 @@ class KeyedLoss(LossModule):
     @in_keys.setter
     def in_keys(self, values: list[NestedKey]) -> None:
         self._in_keys = values
-
-
-def stacked_leaves(
-    module: TensorDictModuleBase, tensordict: TensorDictBase, batch_dims: int
-) -> TensorDictBase:
-    """The module's inputs with batch size cut to ``batch_dims``, sharing storage.
-
-    An encoder reduces time, so it cannot write into a tensordict whose batch size has it.
-    """
-    keys = [key for key in module.in_keys if key in tensordict.keys(True)]
-    inputs = tensordict.select(*keys)
-    inputs.batch_size = tensordict.batch_size[:batch_dims]
-    return inputs
 
 
 def per_rollout(context: Tensor, time_dim: int) -> Tensor:

@@ -111,9 +111,7 @@ class DiscriminatorLoss(KeyedLoss):
         return result.update(_metrics(logit.detach(), is_expert))
 
 
-def _squared_slope(
-    reward: Tensor, observation: Tensor, scale: Tensor, is_expert: Tensor
-) -> Tensor:
+def _squared_slope(reward: Tensor, observation: Tensor, scale: Tensor, is_expert: Tensor) -> Tensor:
     (gradient,) = torch.autograd.grad(reward.sum(), observation, create_graph=True)
     squared = (gradient * scale).square().sum(-1, keepdim=True)
     return _mean_where(squared, is_expert) + _mean_where(squared, ~is_expert)

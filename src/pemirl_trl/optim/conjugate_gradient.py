@@ -20,7 +20,8 @@ def conjugate_gradient(
         product: v -> A v, for vectors of rhs's shape ``[P]``.
         rhs: ``[P]``.
         iterations: at most so many products; P suffice in exact arithmetic.
-        tolerance: stop once |residual|^2 falls below this.
+        tolerance: stop once |residual|^2 falls below this part of |rhs|^2, so that scaling rhs
+            scales x.
 
     Returns:
         x ``[P]`` and the relative residual |rhs - A x| / |rhs| (0 for rhs = 0).
@@ -30,7 +31,7 @@ def conjugate_gradient(
     direction = rhs.clone()
     squared = start = residual @ residual
     for _ in range(iterations):
-        if squared <= tolerance:
+        if squared <= tolerance * start:
             break
         image = product(direction)
         step = squared / (direction @ image)

@@ -125,8 +125,16 @@ class TrustRegionOptimizer:
         promised = float(-(gradient @ full_step))
         return self._line_search(closure, full_step, loss.detach(), promised, residual, norm)
 
-    def _gradient(self, scalar: Tensor, **kwargs: bool) -> Tensor:
-        grads = torch.autograd.grad(scalar, self.params, allow_unused=True, **kwargs)
+    def _gradient(
+        self, scalar: Tensor, *, retain_graph: bool = False, create_graph: bool = False
+    ) -> Tensor:
+        grads = torch.autograd.grad(
+            scalar,
+            self.params,
+            retain_graph=retain_graph or create_graph,
+            create_graph=create_graph,
+            allow_unused=True,
+        )
         return torch.cat(
             [
                 (torch.zeros_like(p) if g is None else g).reshape(-1)

@@ -16,7 +16,7 @@ Draw = Literal["random", "all"]
 
 
 class InferContext(Transform):
-    """Write ``context`` m ~ q_psi(m | demonstration) at reset; every step of the rollout carries it.
+    """Write ``context`` m ~ q_psi(m | demonstration) at reset; every step of a rollout carries it.
 
     The N environments are M groups of K: those of a group share one demonstration and one m
     (context-major order). Each full reset draws anew and uses the encoder's weights of that moment.
@@ -88,10 +88,7 @@ class InferContext(Transform):
                 f"{rollouts} environments do not hold {self.rollouts_per_context} rollouts of "
                 + (f"each of {count} demonstrations" if self.draw == "all" else "each context")
             )
-        if self.draw == "all":
-            drawn = torch.arange(count)
-        else:
-            drawn = torch.randint(count, (contexts,))
+        drawn = torch.arange(count) if self.draw == "all" else torch.randint(count, (contexts,))
         index = drawn.repeat_interleave(self.rollouts_per_context)
         context = self._infer(drawn).repeat_interleave(self.rollouts_per_context, 0)
         if mask is not None and self._index is not None and not mask.all():
@@ -117,9 +114,7 @@ class InferContext(Transform):
         index = self._index.view(self.parent.batch_size)
         return tensordict_reset.set(self.context_key, context).set(self.index_key, index)
 
-    def _step(
-        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase
-    ) -> TensorDictBase:
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key in (self.context_key, self.index_key):
             next_tensordict.set(key, tensordict.get(key))
         return next_tensordict

@@ -40,13 +40,12 @@ class LearnedReward(Transform):
         self.reward, self.reward_key, self.true_key = reward, reward_key, true_key
 
     @torch.no_grad()
-    def _step(
-        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase
-    ) -> TensorDictBase:
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         here = [k for k in self.reward.in_keys if not (isinstance(k, tuple) and k[0] == "next")]
         inputs = tensordict.select(*here).set("next", next_tensordict.copy())
         learned = self.reward(inputs).get(self.reward_key)
-        next_tensordict.set(self.true_key, next_tensordict.get("reward"))
+        if next_tensordict.get(self.true_key, None) is None:  # a batch may be scored again
+            next_tensordict.set(self.true_key, next_tensordict.get("reward"))
         return next_tensordict.set("reward", learned)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -101,6 +101,10 @@ def test_a_diverging_simulation_is_named_and_keeps_its_state(model, bad):
     assert batch.field("time")[1] == before[1, 0]
     assert torch.equal(batch.field("qpos")[1], before[1, 1:3])
 
+    assert batch.step(N_SUB_STEPS).keys() == {1}  # nothing has cured it
+    batch.write({"qvel": torch.zeros(3, 2)}, ill)
+    assert batch.step(N_SUB_STEPS) == {}
+    batch.write({"qvel": torch.full((3, 2), bad)}, ill)
     batch.reset(ill)
     assert batch.step(N_SUB_STEPS) == {}
     assert torch.isfinite(batch.state).all()

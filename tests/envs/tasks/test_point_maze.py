@@ -12,8 +12,8 @@ from pemirl_envs.tasks.point_maze import PointMaze
 
 BARRIERS = {"left": "-.1 .3 .01 .4 .3 .01", "right": ".2 .3 .01 .6 .3 .01"}
 
-# As the authors wrote it (ermongroup/MetaIRL, dynamic_mjc/mjc_models.py), but for the margin: MuJoCo
-# now adds the margins of two geoms, where the versions of 2019 took the larger one, 0.002.
+# As the authors wrote it (ermongroup/MetaIRL, dynamic_mjc/mjc_models.py), but for the margin:
+# MuJoCo now adds the margins of two geoms, where older versions took the larger one, 0.002.
 AUTHORS_MODEL = """
 <mujoco>
   <option timestep="0.01" gravity="0 0 0" iterations="20" integrator="Euler"/>
@@ -157,8 +157,8 @@ def test_transition_noise_has_a_standard_deviation_of_one_centimetre():
 
 
 def test_transition_noise_does_not_push_through_walls():
-    env = pemirl_envs.make("point_maze/stochastic", 500, seed=0)
-    up = torch.tensor([0.3, 1.0]).expand(500, 2)  # against the barrier, whose gap is on the left
+    env = pemirl_envs.make("point_maze/stochastic", 200, seed=0)
+    up = torch.tensor([0.3, 1.0]).expand(200, 2)  # against the barrier, whose gap is on the left
     data = env.rollout(100, lambda td: td.set("action", up), break_when_any_done=False)
     assert data["next", "observation"][..., 1].max() < 0.5
     assert data["next", "observation"][..., 0].max() < 0.6

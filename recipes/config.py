@@ -1,0 +1,32 @@
+"""From YAML to the library's typed configurations."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from omegaconf import DictConfig, OmegaConf
+
+Config = TypeVar("Config")
+
+
+def typed(cls: type[Config], node: DictConfig | Mapping[str, Any]) -> Config:
+    """Build a (nested) dataclass from a node of YAML.
+
+    Raises:
+        ValueError: the node has a key that the dataclass lacks; names it and the legal ones.
+    """
+    values = OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
+    hints = typing.get_type_hints(cls)
+    legal = [f.name for f in dataclasses.fields(cls)]  # type: ignore[arg-type]
+    unknown = sorted(set(values) - set(legal))
+    if unknown:
+        raise ValueError(f"unknown keys {unknown} for {cls.__name__}; legal are {legal}")
+    return cls(
+        **{
+            name: typed(hints[name], value) if dataclasses.is_dataclass(hints[name]) else value
+            for name, value in values.items()
+        }
+    )

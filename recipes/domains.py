@@ -1,0 +1,144 @@
+"""Environments and demonstrations of a recipe, by the names in its configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from omegaconf import DictConfig
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import EnvBase, Transform, TransformedEnv
+
+import pemirl_envs
+from pemirl_trl import (
+    ContextPolicy,
+    DemonstrationDataset,
+    InferContext,
+    PEMIRLModel,
+    SampleTasks,
+    Standardize,
+)
+from pemirl_trl.checkpoint import load_weights, read_metadata
+from pemirl_trl.evaluation import episode_returns
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def data_file(name: str) -> Path:
+    """A path as given, or, if there is no such file, the same below the repository's root.
+
+    Raises:
+        FileNotFoundError: there is neither.
+    """
+    for candidate in (Path(name), ROOT / name):
+        if candidate.is_file():
+            return candidate
+    raise FileNotFoundError(f"no file {name}, neither from here nor from {ROOT}")
+
+
+def environment(
+    name: str, num_envs: int, transform: Transform, *, seed: int, threads: int
+) -> EnvBase:
+    """A batched task with a transform that decides what is rolled out."""
+    base = pemirl_envs.make(name, num_envs, seed=seed, num_threads=threads)
+    return TransformedEnv(base, transform)
+
+
+def given_tasks(tasks: TensorDictBase) -> Callable[[int], TensorDictBase]:
+    """A sampler for :class:`SampleTasks` that always gives these."""
+    return lambda count: tasks[:count]
+
+
+def split_sampler(name: str, split: str) -> Callable[[int], TensorDictBase]:
+    """A sampler for :class:`SampleTasks` that draws from a split of a task."""
+    task = pemirl_envs.get_task(name)
+
+    def sample(count: int) -> TensorDictBase:
+        drawn = task.sample_parameters(count, split, torch.default_generator)
+        return TensorDict(drawn, [count])
+
+    return sample
+
+
+def expert_policy(name: str, task_key: str, hidden: list[int]) -> ContextPolicy:
+    """An untrained policy that reads the task, for the task's sizes.
+
+    Its map of observations is fitted on the reachable box, sampled by random actions.
+    """
+    env = pemirl_envs.make(name, 256, seed=0)
+    horizon = env.task.horizon
+    rollouts = env.rollout(horizon, break_when_any_done=False)
+    return ContextPolicy(
+        rollouts["observation"].shape[-1],
+        rollouts["action"].shape[-1],
+        rollouts["task", task_key].shape[-1],
+        hidden=hidden,
+        standardize=Standardize.fit(rollouts["observation"]),
+        context_key=("task", task_key),
+    )
+
+
+def load_expert(path: str) -> ContextPolicy:
+    """The expert of a file that ``train_expert.py`` wrote."""
+    file = data_file(path)
+    facts = read_metadata(file)
+    hidden = [int(width) for width in facts["hidden"].split(",")]
+    policy = expert_policy(facts["environment"], facts["task_key"], hidden)
+    load_weights(file, {"policy": policy})
+    return policy
+
+
+def one_per_task(demonstrations: DemonstrationDataset, per_task: int) -> DemonstrationDataset:
+    """The first demonstration of each task, of a set that holds ``per_task`` of each in a row."""
+    return demonstrations[::per_task]
+
+
+def returns_given_tasks(
+    name: str, policy: ContextPolicy, tasks: TensorDictBase, config: DictConfig
+) -> torch.Tensor:
+    """True returns ``[tasks]`` of a policy that reads the task (an expert)."""
+    transform = SampleTasks(given_tasks(tasks), rollouts_per_task=config.evaluation.episodes)
+    return _returns(name, policy, tasks, transform, config, sample=False)
+
+
+def returns_given_demonstrations(
+    name: str,
+    model: PEMIRLModel,
+    policy: ContextPolicy,
+    demonstrations: DemonstrationDataset,
+    config: DictConfig,
+    *,
+    sample: bool = False,
+) -> torch.Tensor:
+    """True returns ``[demonstrations]`` of a policy that reads the mean of q(m | demonstration)."""
+    transform = InferContext(
+        model.encoder,
+        demonstrations.trajectories(),
+        rollouts_per_context=config.evaluation.episodes,
+        draw="all",
+        sample=False,
+        tasks=demonstrations.tasks(),
+    )
+    return _returns(name, policy, demonstrations.tasks(), transform, config, sample=sample)
+
+
+def _returns(
+    name: str,
+    policy: ContextPolicy,
+    tasks: TensorDictBase,
+    transform: Transform,
+    config: DictConfig,
+    *,
+    sample: bool,
+) -> torch.Tensor:
+    episodes = config.evaluation.episodes
+    env = environment(
+        name,
+        tasks.batch_size[0] * episodes,
+        transform,
+        seed=config.evaluation.seed,
+        threads=config.threads,
+    )
+    horizon = pemirl_envs.get_task(name).horizon
+    return episode_returns(env, policy, horizon, episodes_per_task=episodes, sample=sample)

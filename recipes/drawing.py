@@ -1,0 +1,70 @@
+"""The figures of a recipe: reward maps of unseen tasks, learning curves."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from omegaconf import DictConfig
+
+import pemirl_envs
+from pemirl_trl import DemonstrationDataset, PEMIRLModel
+from pemirl_trl.evaluation import Result, distance_to_goal, position_grid, reward_on_grid
+from pemirl_trl.evaluation.figures import learning_curve, reward_maps, save_figure
+
+
+@torch.no_grad()
+def draw_reward_maps(
+    config: DictConfig, model: PEMIRLModel, demonstrations: DemonstrationDataset, path: Path
+) -> None:
+    """r(s, m) of four unseen tasks beside the true reward, on the dynamics of adaptation.
+
+    The tasks are those nearest to four goals spread evenly over the range of the test goals.
+    """
+    layout = pemirl_envs.layout(config.test_environment)
+    goals = demonstrations.tasks()["goal"]
+    x = goals[:, 0]
+    wanted = torch.linspace(float(x.min()), float(x.max()), 4)
+    chosen = torch.stack([(x - w).abs().argmin() for w in wanted])
+    few = demonstrations[chosen]
+    context = model.encoder.get_dist(few.trajectories()).mean
+    (x0, y0), (x1, y1) = layout.low, layout.high
+    positions = position_grid(((x0, x1), (y0, y1)), (100, 100))
+    learned = reward_on_grid(model.reward, context, positions)
+    figure = reward_maps(
+        learned,
+        -distance_to_goal(positions, goals[chosen]),
+        ((x0, x1), (y0, y1)),
+        goals[chosen],
+        start=layout.start,
+        segments=list(layout.walls.values()),
+        demonstrations=few.observation,
+        titles=[f"goal x = {float(g[0]):.2f} m" for g in goals[chosen]],
+    )
+    save_figure(figure, path)
+
+
+def draw_learning_curve(
+    config: DictConfig, runs: Sequence[Path], results: Sequence[Result], path: Path
+) -> None:
+    """True return over environment steps, of meta-training and of adaptation."""
+    series = {}
+    for stage in (config.method, "adaptation"):
+        for run in runs:
+            file = run / "curves" / f"{stage}.json"
+            if file.exists():
+                steps, values = zip(*json.loads(file.read_text(encoding="utf-8")), strict=True)
+                env = config.test_environment if stage == "adaptation" else config.environment
+                series[f"{stage} on {env}"] = [(steps, values)]
+    whole = [r for r in results if r.goals == "all"]
+    references = {f"expert on {r.task}/{r.variant}": r.expert for r in whole}
+    figure = learning_curve(
+        series,
+        references=references,
+        xlabel="environment steps",
+        ylabel="true return (never seen by the learner)",
+        title="Training: return of the exploring policy",
+    )
+    save_figure(figure, path)

@@ -1,0 +1,249 @@
+"""Two small problems for the methods: a toy of ten steps, and Point-Maze."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase, ExplorationType, TransformedEnv, set_exploration_type
+
+import pemirl_envs
+from pemirl_trl import InferContext, ModelConfig, PEMIRLModel, Standardize
+from pemirl_trl.methods import (
+    PEMIRL,
+    BatchConfig,
+    PEMIRLConfig,
+    PolicyOptimization,
+    PolicyOptimizationConfig,
+)
+
+
+class Reach(EnvBase):
+    """A point on a line walks to its goal, ten steps of at most 0.25 m; r = -|x - goal|.
+
+    Draws from torch's global generator, as an environment without a stream of its own may.
+    """
+
+    batch_locked = True
+    horizon = 10
+    step_size = 0.25
+
+    def __init__(self, num_envs: int) -> None:
+        super().__init__(device=torch.device("cpu"), batch_size=[num_envs])
+        one = (num_envs, 1)
+        goal = Composite(goal=Unbounded(one), shape=[num_envs])
+        self.observation_spec = Composite(
+            observation=Unbounded(one), task=goal, shape=[num_envs]
+        )
+        self.action_spec = Bounded(-torch.ones(one), torch.ones(one))
+        self.reward_spec = Unbounded(one)
+        self.full_done_spec = Composite(
+            {key: Binary(1, one, dtype=torch.bool) for key in ("done", "terminated", "truncated")},
+            shape=[num_envs],
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        torch.manual_seed(0 if seed is None else seed)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
+        given = None if tensordict is None else tensordict.get(("task", "goal"), None)
+        shape = (*self.batch_size, 1)
+        self.goal = 2.0 * torch.rand(shape) - 1.0 if given is None else given.clone()
+        self.position = 0.1 * torch.randn(shape)
+        self.time = 0
+        return self._observed()
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        reward = -(self.position - self.goal).abs()
+        self.position = self.position + self.step_size * tensordict["action"].clamp(-1.0, 1.0)
+        self.time += 1
+        return self._observed().set("reward", reward)
+
+    def _observed(self) -> TensorDict:
+        end = torch.full((*self.batch_size, 1), self.time >= self.horizon)
+        return TensorDict(
+            {
+                "observation": self.position.clone(),
+                "task": {"goal": self.goal.clone()},
+                "done": end,
+                "terminated": torch.zeros_like(end),
+                "truncated": end.clone(),
+            },
+            self.batch_size,
+        )
+
+
+def reach_expert(position: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
+    """The optimal action of :class:`Reach`: straight to the goal, and stay."""
+    return (goal - position) / Reach.step_size
+
+
+def maze_expert(position: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
+    """A hand-written controller of ``point_maze/left``: through the gap, then to the goal."""
+    gap = torch.tensor([0.5, 0.37]).expand_as(goal)
+    return 6.0 * (torch.where(position[:, 1:] < 0.32, gap, goal) - position)
+
+
+@dataclass
+class Problem:
+    """What the tests build methods from; every builder starts from a seed.
+
+    Attributes:
+        make: number of environments -> environment.
+        demonstrations, tasks: of the expert, batch size ``[J]``.
+    """
+
+    make: Callable[..., EnvBase]
+    demonstrations: TensorDict
+    tasks: TensorDict
+
+    @property
+    def horizon(self) -> int:
+        return self.demonstrations["action"].shape[1]
+
+    def model(self, seed: int = 0, **sizes: Any) -> PEMIRLModel:
+        torch.manual_seed(seed)
+        observation = self.demonstrations["observation"]
+        return PEMIRLModel(
+            observation.shape[-1],
+            self.demonstrations["action"].shape[-1],
+            self.horizon,
+            ModelConfig(**sizes),
+            Standardize.fit(observation),
+        )
+
+    def env(
+        self, model: PEMIRLModel, contexts: int, rollouts: int, tasks: Any = None, **options: Any
+    ) -> EnvBase:
+        """An environment that draws ``contexts`` demonstrations, ``rollouts`` rollouts each."""
+        transform = InferContext(
+            model.encoder,
+            self.demonstrations,
+            rollouts_per_context=rollouts,
+            tasks=self.tasks if tasks is None else tasks,
+        )
+        return TransformedEnv(self.make(contexts * rollouts, **options), transform)
+
+    def pemirl(
+        self,
+        seed: int = 0,
+        *,
+        model: PEMIRLModel | None = None,
+        contexts: int = 4,
+        tasks: Any = None,
+        env: dict[str, Any] | None = None,
+        **config: Any,
+    ) -> PEMIRL:
+        """Meta-training, two rollouts per context, batches of 16 + 16 trajectories."""
+        model = model or self.model(seed)
+        defaults = {
+            "rollouts_per_context": 2,
+            "info_contexts": 4,
+            "batch": BatchConfig(trajectories=16, time_steps=5),
+        }
+        config = PEMIRLConfig(**{**defaults, **config})
+        wrapped = self.env(model, contexts, config.rollouts_per_context, tasks, **(env or {}))
+        return PEMIRL(model, wrapped, self.demonstrations, config)
+
+    def policy_optimization(
+        self, seed: int = 0, *, learned: bool = False, **config: Any
+    ) -> PolicyOptimization:
+        model = self.model(seed)
+        return PolicyOptimization(
+            self.env(model, 4, 2),
+            model.policy,
+            self.horizon,
+            PolicyOptimizationConfig(**config),
+            rollouts_per_context=2,
+            reward=model.reward if learned else None,
+        )
+
+
+def _demonstrate(env: EnvBase, expert: Callable, tasks: TensorDict, horizon: int) -> TensorDict:
+    """One expert trajectory per task, ``[J]`` with leaves ``[J, T, ...]``, slightly noisy."""
+    data, steps = env.reset(TensorDict({"task": tasks}, env.batch_size)), []
+    for _ in range(horizon):
+        action = expert(data["observation"], tasks["goal"]).clamp(-1.0, 1.0)
+        data["action"] = action + 0.05 * torch.randn_like(action)
+        data = env.step(data)
+        steps.append(data.select("observation", "action", ("next", "observation")))
+        data = data["next"].exclude("reward")
+    rollouts = torch.stack(steps, 1)
+    rollouts.batch_size = rollouts.batch_size[:1]  # an encoder reduces time
+    return rollouts
+
+
+@pytest.fixture(scope="session")
+def reach_problem() -> Callable[[int], Problem]:
+    """Count of demonstrations -> the toy, with goals spread over [-1, 1] m."""
+
+    def build(count: int) -> Problem:
+        tasks = TensorDict({"goal": torch.linspace(-1.0, 1.0, count).unsqueeze(-1)}, [count])
+        with torch.random.fork_rng(devices=[]), set_exploration_type(ExplorationType.RANDOM):
+            torch.manual_seed(0)
+            demonstrations = _demonstrate(Reach(count), reach_expert, tasks, Reach.horizon)
+        return Problem(Reach, demonstrations, tasks)
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def reach(reach_problem) -> Problem:
+    """The toy with 12 demonstrations."""
+    return reach_problem(12)
+
+
+@pytest.fixture(scope="session")
+def maze() -> Problem:
+    """Point-Maze with 8 demonstrations."""
+    tasks = pemirl_envs.task_parameters("point_maze/left", "test")[:8]
+
+    def make(num_envs: int, num_threads: int = 1, seed: int = 0) -> EnvBase:
+        return pemirl_envs.make("point_maze/left", num_envs, seed=seed, num_threads=num_threads)
+
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        demonstrations = _demonstrate(make(8), maze_expert, tasks, 100)
+    return Problem(make, demonstrations, tasks)
+
+
+def _flatten(value: Any, prefix: str, flat: dict[str, torch.Tensor]) -> None:
+    if isinstance(value, dict):
+        for key, item in value.items():
+            _flatten(item, f"{prefix}.{key}", flat)
+    elif isinstance(value, (list, tuple)):
+        _flatten(dict(enumerate(value)), prefix, flat)
+    else:
+        flat[prefix] = value.clone() if isinstance(value, torch.Tensor) else value
+
+
+@pytest.fixture(scope="session")
+def state() -> Callable[[Any], dict[str, Any]]:
+    """A copy of all that a method's checkpoint would hold, as one flat dictionary."""
+
+    def read(method: Any) -> dict[str, Any]:
+        flat: dict[str, Any] = {}
+        for name, component in method.components().items():
+            _flatten(component.state_dict(), name, flat)
+        return flat
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def differences() -> Callable[[dict, dict], list[str]]:
+    """The names under which two such dictionaries differ by as much as a bit."""
+
+    def compare(a: dict[str, Any], b: dict[str, Any]) -> list[str]:
+        def equal(x: Any, y: Any) -> bool:
+            both = isinstance(x, torch.Tensor) and isinstance(y, torch.Tensor)
+            return torch.equal(x, y) if both else type(x) is type(y) and x == y
+
+        return sorted(a.keys() ^ b.keys()) + [k for k in a.keys() & b.keys() if not equal(a[k], b[k])]
+
+    return compare
