@@ -1,6 +1,6 @@
 """Infer r(s, m) of new tasks from one demonstration each, and train a policy on it (Algorithm 2).
 
-    python recipes/adapt_reward.py model_file=runs/meta_train/pemirl_consolidated/seed0/model.safetensors
+    python recipes/adapt_reward.py model_file=runs/meta_train/pemirl_blurred/seed0/model.safetensors
     python recipes/adapt_reward.py test_demonstrations=my_demonstration.safetensors
 
 Writes ``policy.safetensors`` and the learning curve to ``run_dir``. Rewards are the learned ones;

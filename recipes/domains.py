@@ -98,8 +98,14 @@ def returns_given_tasks(
     name: str, policy: ContextPolicy, tasks: TensorDictBase, config: DictConfig
 ) -> torch.Tensor:
     """True returns ``[tasks]`` of a policy that reads the task (an expert)."""
-    transform = SampleTasks(given_tasks(tasks), rollouts_per_task=config.evaluation.episodes)
-    return _returns(name, policy, tasks, transform, config, sample=False)
+    return _returns(name, policy, tasks, _given(tasks, config), config)
+
+
+def returns_of_random_actions(
+    name: str, tasks: TensorDictBase, config: DictConfig
+) -> torch.Tensor:
+    """True returns ``[tasks]`` of actions drawn uniformly within their bounds."""
+    return _returns(name, None, tasks, _given(tasks, config), config)
 
 
 def returns_given_demonstrations(
@@ -108,8 +114,6 @@ def returns_given_demonstrations(
     policy: ContextPolicy,
     demonstrations: DemonstrationDataset,
     config: DictConfig,
-    *,
-    sample: bool = False,
 ) -> torch.Tensor:
     """True returns ``[demonstrations]`` of a policy that reads the mean of q(m | demonstration)."""
     transform = InferContext(
@@ -120,17 +124,19 @@ def returns_given_demonstrations(
         sample=False,
         tasks=demonstrations.tasks(),
     )
-    return _returns(name, policy, demonstrations.tasks(), transform, config, sample=sample)
+    return _returns(name, policy, demonstrations.tasks(), transform, config)
+
+
+def _given(tasks: TensorDictBase, config: DictConfig) -> SampleTasks:
+    return SampleTasks(given_tasks(tasks), rollouts_per_task=config.evaluation.episodes)
 
 
 def _returns(
     name: str,
-    policy: ContextPolicy,
+    policy: ContextPolicy | None,
     tasks: TensorDictBase,
     transform: Transform,
     config: DictConfig,
-    *,
-    sample: bool,
 ) -> torch.Tensor:
     episodes = config.evaluation.episodes
     env = environment(
@@ -141,4 +147,4 @@ def _returns(
         threads=config.threads,
     )
     horizon = pemirl_envs.get_task(name).horizon
-    return episode_returns(env, policy, horizon, episodes_per_task=episodes, sample=sample)
+    return episode_returns(env, policy, horizon, episodes_per_task=episodes)

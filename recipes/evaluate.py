@@ -20,6 +20,7 @@ from domains import (
     load_expert,
     returns_given_demonstrations,
     returns_given_tasks,
+    returns_of_random_actions,
 )
 from drawing import draw_learning_curve, draw_reward_maps
 from omegaconf import DictConfig, OmegaConf
@@ -80,12 +81,9 @@ def _measure(
     train, test = config.environment, config.test_environment
     returns: dict[tuple[str, str, str], Tensor] = {}
     for env in dict.fromkeys((train, test)):
-        expert = load_expert(config.experts[env])
+        expert = load_expert(config.experts[env.split("/")[1]])
         returns[env, "expert", ""] = returns_given_tasks(env, expert, demonstrations.tasks(), config)
-        untrained = model.new_policy(1.0)
-        returns[env, "random", ""] = returns_given_demonstrations(
-            env, model, untrained, demonstrations, config, sample=True
-        )
+        returns[env, "random", ""] = returns_of_random_actions(env, demonstrations.tasks(), config)
     for name, networks in (("meta_il", meta_il), (config.method, model)):
         for env, setting in ((train, "one_shot"), (test, "policy_generalisation")):
             returns[env, name, setting] = returns_given_demonstrations(

@@ -20,8 +20,6 @@ from run_folder import RunFolder, say
 from pemirl_trl import DemonstrationDataset, InferContext, ModelConfig, PEMIRLModel, Standardize
 from pemirl_trl.methods import (
     PEMIRL,
-    Consolidation,
-    ConsolidationConfig,
     MetaIL,
     MetaILConfig,
     PEMIRLConfig,
@@ -30,7 +28,7 @@ from pemirl_trl.pretrained import save_model
 
 
 def meta_train(config: DictConfig, folder: RunFolder) -> PEMIRLModel:
-    """Meta-IL, PEMIRL from its encoder and, where the method has it, consolidation."""
+    """Meta-IL, then PEMIRL with its encoder and a fresh policy."""
     torch.manual_seed(config.seed)
     demonstrations = DemonstrationDataset.load(data_file(config.demonstrations))
     model = PEMIRLModel(
@@ -50,13 +48,6 @@ def meta_train(config: DictConfig, folder: RunFolder) -> PEMIRLModel:
     model.policy = model.new_policy(learn_scale=False)
     method = _pemirl(config, model, demonstrations)
     folder.train(config.method, method, show="return/true")
-    if config.consolidation is not None:
-        consolidation = Consolidation(
-            model, trajectories, method.negatives, typed(ConsolidationConfig, config.consolidation)
-        )
-        folder.train(
-            "consolidation", consolidation, show="consolidation/loss_discriminator"
-        )
     facts = {"method": config.method, "env_steps": str(method.env_steps)}
     save_model(folder.file("model.safetensors"), model, facts)
     say(f"meta-trained on {method.env_steps:,} environment steps -> {folder.file('model.safetensors')}")

@@ -114,13 +114,12 @@ def test_table_shows_means_and_every_seed():
         ]
     )
     assert text.splitlines() == [
-        "| method | point_maze left, one_shot, goals all"
-        " | point_maze right, reward_adaptation, goals all |",
-        "| --- | --- | --- |",
-        "| random | -47.00 | -47.00 |",
-        "| expert | -5.00 | -5.00 |",
-        "| airl | -26.00 (0.500) [-26.00] | -30.00 (0.405) [-30.00] |",
-        "| pemirl | -7.00 (0.952) [-5.00, -9.00] | – |",
+        "| task | setting | goals | random | expert | airl | pemirl |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| point_maze left | one_shot | all | -47.00 | -5.00 | -26.00 (0.500) [-26.00]"
+        " | -7.00 (0.952) [-5.00, -9.00] |",
+        "| point_maze right | reward_adaptation | all | -47.00 | -5.00"
+        " | -30.00 (0.405) [-30.00] | – |",
     ]
 
 

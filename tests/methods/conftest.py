@@ -10,7 +10,7 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
-from torchrl.envs import EnvBase, ExplorationType, TransformedEnv, set_exploration_type
+from torchrl.envs import EnvBase, TransformedEnv
 
 import pemirl_envs
 from pemirl_trl import InferContext, ModelConfig, PEMIRLModel, Standardize
@@ -37,9 +37,7 @@ class Reach(EnvBase):
         super().__init__(device=torch.device("cpu"), batch_size=[num_envs])
         one = (num_envs, 1)
         goal = Composite(goal=Unbounded(one), shape=[num_envs])
-        self.observation_spec = Composite(
-            observation=Unbounded(one), task=goal, shape=[num_envs]
-        )
+        self.observation_spec = Composite(observation=Unbounded(one), task=goal, shape=[num_envs])
         self.action_spec = Bounded(-torch.ones(one), torch.ones(one))
         self.reward_spec = Unbounded(one)
         self.full_done_spec = Composite(
@@ -153,14 +151,15 @@ class Problem:
     def policy_optimization(
         self, seed: int = 0, *, learned: bool = False, **config: Any
     ) -> PolicyOptimization:
-        model = self.model(seed)
+        """A policy from ``seed``, on contexts and (if ``learned``) the reward of model 0."""
+        frozen, policy = self.model(0), self.model(seed).policy
         return PolicyOptimization(
-            self.env(model, 4, 2),
-            model.policy,
+            self.env(frozen, 4, 2),
+            policy,
             self.horizon,
             PolicyOptimizationConfig(**config),
             rollouts_per_context=2,
-            reward=model.reward if learned else None,
+            reward=frozen.reward if learned else None,
         )
 
 
@@ -178,38 +177,39 @@ def _demonstrate(env: EnvBase, expert: Callable, tasks: TensorDict, horizon: int
     return rollouts
 
 
+def reach_problem(count: int) -> Problem:
+    """The toy with ``count`` demonstrations, of goals spread over [-1, 1] m."""
+    tasks = TensorDict({"goal": torch.linspace(-1.0, 1.0, count).unsqueeze(-1)}, [count])
+    return _problem(Reach, reach_expert, tasks, Reach.horizon)
+
+
+def maze_problem() -> Problem:
+    """Point-Maze with 8 demonstrations."""
+
+    def make(num_envs: int, num_threads: int = 1, seed: int = 0) -> EnvBase:
+        return pemirl_envs.make("point_maze/left", num_envs, seed=seed, num_threads=num_threads)
+
+    tasks = pemirl_envs.task_parameters("point_maze/left", "test")[:8]
+    return _problem(make, maze_expert, tasks, 100)
+
+
+def _problem(
+    make: Callable[..., EnvBase], expert: Callable, tasks: TensorDict, horizon: int
+) -> Problem:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        demonstrations = _demonstrate(make(len(tasks)), expert, tasks, horizon)
+    return Problem(make, demonstrations, tasks)
+
+
 @pytest.fixture(scope="session")
-def reach_problem() -> Callable[[int], Problem]:
-    """Count of demonstrations -> the toy, with goals spread over [-1, 1] m."""
-
-    def build(count: int) -> Problem:
-        tasks = TensorDict({"goal": torch.linspace(-1.0, 1.0, count).unsqueeze(-1)}, [count])
-        with torch.random.fork_rng(devices=[]), set_exploration_type(ExplorationType.RANDOM):
-            torch.manual_seed(0)
-            demonstrations = _demonstrate(Reach(count), reach_expert, tasks, Reach.horizon)
-        return Problem(Reach, demonstrations, tasks)
-
-    return build
-
-
-@pytest.fixture(scope="session")
-def reach(reach_problem) -> Problem:
-    """The toy with 12 demonstrations."""
+def reach() -> Problem:
     return reach_problem(12)
 
 
 @pytest.fixture(scope="session")
 def maze() -> Problem:
-    """Point-Maze with 8 demonstrations."""
-    tasks = pemirl_envs.task_parameters("point_maze/left", "test")[:8]
-
-    def make(num_envs: int, num_threads: int = 1, seed: int = 0) -> EnvBase:
-        return pemirl_envs.make("point_maze/left", num_envs, seed=seed, num_threads=num_threads)
-
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        demonstrations = _demonstrate(make(8), maze_expert, tasks, 100)
-    return Problem(make, demonstrations, tasks)
+    return maze_problem()
 
 
 def _flatten(value: Any, prefix: str, flat: dict[str, torch.Tensor]) -> None:
@@ -244,6 +244,8 @@ def differences() -> Callable[[dict, dict], list[str]]:
             both = isinstance(x, torch.Tensor) and isinstance(y, torch.Tensor)
             return torch.equal(x, y) if both else type(x) is type(y) and x == y
 
-        return sorted(a.keys() ^ b.keys()) + [k for k in a.keys() & b.keys() if not equal(a[k], b[k])]
+        return sorted(a.keys() ^ b.keys()) + [
+            k for k in a.keys() & b.keys() if not equal(a[k], b[k])
+        ]
 
     return compare

@@ -46,7 +46,10 @@ def values(loss, *args, **kwargs):
     """Outputs by name; Meta-IL draws, so every call starts from one seed."""
     torch.manual_seed(0)
     result = loss(*args, **kwargs)
-    return dict(zip(loss.out_keys, result, strict=True)) if kwargs else dict(result.items())
+    if not kwargs:
+        return dict(result.items())
+    result = result if isinstance(result, tuple) else (result,)
+    return dict(zip(loss.out_keys, result, strict=True))
 
 
 def assert_same(first, second):

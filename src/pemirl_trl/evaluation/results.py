@@ -242,34 +242,34 @@ def _commit() -> str:
 
 
 def table(results: Sequence[Result]) -> str:
-    """Return a Markdown table: methods down, one column per task, variant, setting and goals.
+    """Return a Markdown table: one row per task, variant, setting and goals; methods across.
 
-    A cell is ``mean over seeds (normalised) [every seed]``, in the order of seeds. The first two
-    rows are the random policy and the expert that these results were normalised with.
+    A cell is ``mean over seeds (normalised) [every seed]``, in the order of seeds. The columns
+    random and expert are what these results were normalised with.
 
     Raises:
         ValueError: nothing to show, or two results for one cell and seed.
     """
-    cells: dict[tuple[str, str], dict[int, Result]] = {}
-    for result in results:
-        column = f"{result.task} {result.variant}, {result.setting}, goals {result.goals}"
-        seeds = cells.setdefault((result.method, column), {})
-        if result.seed in seeds:
-            raise ValueError(f"two results for {result.method}, {column}, seed {result.seed}")
-        seeds[result.seed] = result
-    if not cells:
+    if not results:
         raise ValueError("got no results; expected at least one")
-    columns = sorted({column for _, column in cells})
-    rows = [["method", *columns], ["---"] * (len(columns) + 1)]
-    for reference in ("random", "expert"):
-        row = [reference]
-        for column in columns:
-            there = (seeds for (_, at), seeds in cells.items() if at == column)
-            row.append(f"{_mean([getattr(r, reference) for s in there for r in s.values()]):.2f}")
-        rows.append(row)
-    for method in sorted({method for method, _ in cells}):
-        rows.append([method, *(_cell(cells.get((method, column), {})) for column in columns)])
-    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+    cells: dict[tuple[str, ...], dict[str, dict[int, Result]]] = {}
+    for result in results:
+        row = (f"{result.task} {result.variant}", result.setting, result.goals)
+        seeds = cells.setdefault(row, {}).setdefault(result.method, {})
+        if result.seed in seeds:
+            raise ValueError(
+                f"two results for {result.method}, {', '.join(row)}, seed {result.seed}"
+            )
+        seeds[result.seed] = result
+    methods = sorted({result.method for result in results})
+    lines = [["task", "setting", "goals", "random", "expert", *methods]]
+    lines.append(["---"] * len(lines[0]))
+    order = {setting: place for place, setting in enumerate(SETTINGS)}
+    for row in sorted(cells, key=lambda row: (order[row[1]], row)):
+        there = [r for seeds in cells[row].values() for r in seeds.values()]
+        references = [f"{_mean([getattr(r, k) for r in there]):.2f}" for k in ("random", "expert")]
+        lines.append([*row, *references, *(_cell(cells[row].get(m, {})) for m in methods)])
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase, ExplorationType, set_exploration_type
 @torch.no_grad()
 def episode_returns(
     env: EnvBase,
-    policy: Callable[[TensorDictBase], TensorDictBase],
+    policy: Callable[[TensorDictBase], TensorDictBase] | None,
     horizon: int,
     *,
     episodes_per_task: int,
@@ -23,7 +23,7 @@ def episode_returns(
 
     Args:
         env: batch size ``[tasks * episodes_per_task]``, task-major; its reward is the true one.
-        policy: maps what the environment writes to an action.
+        policy: maps what the environment writes to an action; None draws actions uniformly.
         horizon: T.
         episodes_per_task: consecutive environments that share a task.
         sample: whether actions are drawn, or the distribution's mean (the default).

@@ -1,7 +1,6 @@
 """The methods: the one place where the order of updates is decided."""
 
 from pemirl_trl.methods.collection import EpisodeCollector
-from pemirl_trl.methods.consolidation import Consolidation, ConsolidationConfig
 from pemirl_trl.methods.discriminator_batches import BatchConfig, DiscriminatorBatches
 from pemirl_trl.methods.loop import TrainingDiverged, train
 from pemirl_trl.methods.meta_il import MetaIL, MetaILConfig
@@ -12,8 +11,6 @@ from pemirl_trl.methods.policy_step import PolicyStep, TRPOConfig
 __all__ = [
     "PEMIRL",
     "BatchConfig",
-    "Consolidation",
-    "ConsolidationConfig",
     "DiscriminatorBatches",
     "EpisodeCollector",
     "MetaIL",

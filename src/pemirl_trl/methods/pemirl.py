@@ -35,7 +35,6 @@ class PEMIRLConfig:
         reward_steps: Adam steps on psi, theta and phi per iteration.
         reward_lr, encoder_lr: of theta and phi, and of psi.
         replay_iterations: how many iterations of rollouts serve as negatives.
-        archive_iterations: how many are kept, for later use; at least ``replay_iterations``.
         batch: of the discriminator.
         gradient_penalty_coeff: R1 penalty on r; an extension of the paper, 0 is off.
         encoder_gradient: whether the discriminator's loss also trains psi (the authors' code).
@@ -53,7 +52,6 @@ class PEMIRLConfig:
     reward_lr: float = 1e-3
     encoder_lr: float = 1e-4
     replay_iterations: int = 20
-    archive_iterations: int = 20
     batch: BatchConfig = field(default_factory=BatchConfig)
     gradient_penalty_coeff: float = 0.0
     encoder_gradient: bool = False
@@ -87,7 +85,7 @@ class PEMIRL:
         self.model, self.demonstrations, self.config = model, demonstrations, config
         self.iterations = config.iterations
         self.env_steps = 0
-        self.negatives = Negatives(max(config.replay_iterations, config.archive_iterations))
+        self.negatives = Negatives(config.replay_iterations)
         self._collect = EpisodeCollector(env, model.policy, model.horizon)
         self._batches = DiscriminatorBatches(model, demonstrations, self.negatives, config.batch)
         self._info_loss = InfoLoss(

@@ -33,7 +33,7 @@ class _GaussianParameters(TensorDictModuleBase):
         self.log_scale = log_scale
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        observation, context = (tensordict.get(key) for key in self.in_keys)
+        observation, context = (tensordict[key] for key in self.in_keys)
         loc = self.net(self.standardize(observation), context)
         scale = self.log_scale.exp().expand_as(loc)
         return tensordict.set("loc", loc).set("scale", scale)

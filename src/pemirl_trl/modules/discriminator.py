@@ -40,6 +40,6 @@ class AIRLDiscriminator(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write r, f and the logit into ``tensordict``."""
         self.reward(tensordict)
-        shaped = tensordict.get(self.reward.out_keys[1])
-        log_prob = tensordict.get(self.log_prob_key).view_as(shaped)
+        shaped = tensordict[self.reward.out_keys[1]]
+        log_prob = tensordict[self.log_prob_key].view_as(shaped)
         return tensordict.set(self.out_keys[-1], logit_expert(shaped, log_prob))

@@ -66,13 +66,16 @@ class ShapedReward(TensorDictModuleBase):
         return self.potential_net(self.standardize(observation), context)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write r and f into ``tensordict``."""
-        observation, next_observation, context = (tensordict.get(k) for k in self.in_keys)
+        """Write r and, where the next observation is given, f into ``tensordict``."""
+        observation, next_observation, context = (tensordict.get(k, None) for k in self.in_keys)
         reward = self.reward(observation, context)
+        tensordict.set(self.out_keys[0], reward)
+        if next_observation is None:  # r is a function of the state: maps of it have no next one
+            return tensordict
         shaped = shaped_reward(
             reward,
             self.potential(observation, context),
             self.potential(next_observation, context),
             self.gamma,
         )
-        return tensordict.set(self.out_keys[0], reward).set(self.out_keys[1], shaped)
+        return tensordict.set(self.out_keys[1], shaped)

@@ -83,7 +83,7 @@ class DiscriminatorLoss(KeyedLoss):
                 ``[...]`` or ``[..., 1]``.
         """
         observation, next_observation, context, log_prob, is_expert = (
-            tensordict.get(key) for key in self._input_keys()
+            tensordict[key] for key in self._input_keys()
         )
         if self.detach_context:
             context = context.detach()
@@ -98,12 +98,12 @@ class DiscriminatorLoss(KeyedLoss):
         ):
             outputs = self.discriminator_network(inputs)
             scale = self.discriminator_network.reward.standardize.scale
-        logit = outputs.get(self.discriminator_network.out_keys[-1])
+        logit = outputs[self.discriminator_network.out_keys[-1]]
         is_expert = is_expert.view(logit.shape).bool()
         loss = binary_classification_loss(logit, is_expert).squeeze(-1)
         result = TensorDict({"loss_discriminator": self._reduce_loss(loss, tensordict)})
         if penalised:
-            reward = outputs.get(self.discriminator_network.out_keys[0])
+            reward = outputs[self.discriminator_network.out_keys[0]]
             penalty = _squared_slope(reward, observation, scale, is_expert)
             result["loss_gradient_penalty"] = self.gradient_penalty_coeff * penalty
         elif self.gradient_penalty_coeff > 0:

@@ -89,7 +89,7 @@ class InfoLoss(KeyedLoss):
                 context-major; ``context`` is ``[N, T, D]``, constant along T.
         """
         observation, action, next_observation, context = (
-            tensordict.get(key) for key in self._input_keys()
+            tensordict[key] for key in self._input_keys()
         )
         rollouts = observation.shape[0]
         groups, rest = divmod(rollouts, self.rollouts_per_context)
@@ -120,7 +120,7 @@ class InfoLoss(KeyedLoss):
         with self.reward_network_params.to_module(self.reward_network, preserve_module_state=False):
             outputs = self.reward_network(inputs)
         key = self.reward_network.out_keys[1 if self.summand == "shaped" else 0]
-        per_step = outputs.get(key).squeeze(-1)  # [N, T]
+        per_step = outputs[key].squeeze(-1)  # [N, T]
         returns = per_step.mean(-1) if self.time_mean else per_step.sum(-1)
         shape = (groups, self.rollouts_per_context)
         loss_reward = info_reward_loss(

@@ -62,7 +62,7 @@ class MetaILLoss(KeyedLoss):
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
         """Compute both losses on demonstrations, leaves ``[N, T, ...]``."""
-        observation, action = (tensordict.get(key) for key in self._input_keys())
+        observation, action = (tensordict[key] for key in self._input_keys())
         inputs = TensorDict({"observation": observation, "action": action}, observation.shape[:1])
         with self.encoder_network_params.to_module(
             self.encoder_network, preserve_module_state=False

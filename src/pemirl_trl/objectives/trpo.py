@@ -73,9 +73,9 @@ class TRPOLoss(KeyedLoss):
         inputs = tensordict.select(*self.actor_network.in_keys)
         with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
             new = self.actor_network.get_dist(inputs)
-        log_prob = new.log_prob(tensordict.get(k.action))
-        old_log_prob = tensordict.get(k.action_log_prob).view_as(log_prob)
-        advantage = tensordict.get(k.advantage).view_as(log_prob)
+        log_prob = new.log_prob(tensordict[k.action])
+        old_log_prob = tensordict[k.action_log_prob].view_as(log_prob)
+        advantage = tensordict[k.advantage].view_as(log_prob)
         entropy = new.entropy()
         gain = surrogate(log_prob, old_log_prob, advantage) + self.entropy_coeff * entropy
         return TensorDict(

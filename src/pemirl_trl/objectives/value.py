@@ -61,8 +61,8 @@ class ValueLoss(KeyedLoss):
         """Compute the loss; ``value_target`` is ``[..., 1]``."""
         inputs = tensordict.select(*self.value_network.in_keys)
         with self.value_network_params.to_module(self.value_network, preserve_module_state=False):
-            value = self.value_network(inputs).get(self.tensor_keys.value)
-        target = tensordict.get(self.tensor_keys.value_target)
+            value = self.value_network(inputs)[self.tensor_keys.value]
+        target = tensordict[self.tensor_keys.value_target]
         loss = mse_loss(value, target.detach(), reduction="none")
         return TensorDict({"loss_value": self._reduce_loss(loss, tensordict)})
 
@@ -106,7 +106,7 @@ class FiniteHorizonAdvantage:
     @torch.no_grad()
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``advantage`` and ``value_target`` into ``tensordict`` and return it."""
-        reward = tensordict.get(self.reward_key)  # [N, T, 1]
+        reward = tensordict[self.reward_key]  # [N, T, 1]
         value = self._baseline(tensordict, reward)
         next_value = torch.cat([value[:, 1:], torch.zeros_like(value[:, :1])], 1)
         end = torch.zeros_like(reward, dtype=torch.bool)
@@ -120,7 +120,7 @@ class FiniteHorizonAdvantage:
 
     def _baseline(self, tensordict: TensorDictBase, reward: Tensor) -> Tensor:
         if self.value is not None:
-            return self.value(tensordict.select(*self.value.in_keys)).get("state_value")
+            return self.value(tensordict.select(*self.value.in_keys))["state_value"]
         rollouts, horizon = reward.shape[:2]
         if rollouts % self.rollouts_per_context:
             raise ValueError(
@@ -129,7 +129,7 @@ class FiniteHorizonAdvantage:
             )
         returns = discounted_return(reward.squeeze(-1), self.gamma)
         rows = self.rollouts_per_context * horizon
-        features = time_polynomial_features(self.observation_map(tensordict.get("observation")))
+        features = time_polynomial_features(self.observation_map(tensordict["observation"]))
         fit = ridge_prediction(
             features.reshape(-1, rows, features.shape[-1]), returns.view(-1, rows)
         )

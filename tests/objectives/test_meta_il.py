@@ -1,0 +1,59 @@
+"""Meta-IL's bound: m is drawn once per trajectory, and the expectation is the analytic one."""
+
+import math
+
+import torch
+from torch.distributions import Normal, kl_divergence
+
+from pemirl_trl.modules import ContextEncoder, ContextPolicy
+from pemirl_trl.objectives import MetaILLoss
+
+from .problems import A, D, S, T, networks, rollouts
+
+
+def test_the_expected_loss_is_the_analytic_one(float64):
+    """Of a linear policy: a Gaussian m adds its variance, seen through the policy's weights."""
+    draws = 4000
+    encoder = networks().encoder
+    policy = ContextPolicy(S, A, D, hidden=(), initial_scale=0.7)
+    demonstration = rollouts()[:1].select("observation", "action")
+    batch = demonstration.expand(draws, T).contiguous()
+    loss = MetaILLoss(encoder, policy)(batch)["loss_imitation"]
+
+    demonstration.batch_size = [1]
+    q = encoder.get_dist(demonstration)
+    mean = policy.gaussian.net(
+        demonstration["observation"], q.mean.unsqueeze(1).expand(-1, T, -1)
+    )  # [1, T, A]
+    weight = policy.gaussian.net[0].weight[:, S:]  # [A, D]
+    spread = (weight.square() * q.variance).sum(-1)  # [A]
+    squared = (demonstration["action"] - mean).square() + spread
+    expected = 0.5 * (squared / 0.7**2 + math.log(2 * math.pi * 0.7**2)).sum(-1).mean()
+    at_the_mean = expected - 0.5 * (spread / 0.7**2).sum()
+    assert abs(loss - expected) < 0.2 * abs(at_the_mean - expected)
+
+
+def test_one_draw_per_trajectory_and_a_new_one_per_call():
+    """pi(a | s, m) = N(m, 1), q = N(0, 1), a = 0: the loss is m^2 / 2 + const, of variance 1/2.
+
+    The mean of q would give no variance, a draw per step a fourth of it.
+    """
+    encoder, policy = ContextEncoder(S, 1, 1, T, hidden=()), ContextPolicy(S, 1, 1, hidden=())
+    with torch.no_grad():
+        for parameter in (*encoder.parameters(), *policy.parameters()):
+            parameter.zero_()
+        policy.gaussian.net[0].weight[0, S] = 1.0
+    batch = rollouts()[:1].select("observation").set("action", torch.zeros(1, T, 1))
+    loss = MetaILLoss(encoder, policy)
+    losses = torch.stack([loss(batch)["loss_imitation"].detach() for _ in range(400)])
+    assert 0.3 < losses.var() < 0.8
+
+
+def test_the_kl_is_torchs(float64):
+    nets, batch = networks(), rollouts()
+    result = MetaILLoss(nets.encoder, nets.policy, kl_coeff=0.25)(batch)
+    batch.batch_size = batch.shape[:1]
+    q = nets.encoder.get_dist(batch)
+    expected = kl_divergence(Normal(q.mean, q.stddev), Normal(0.0, 1.0)).sum(-1).mean()
+    assert torch.isclose(result["kl"], expected)
+    assert torch.isclose(result["loss_kl"], 0.25 * expected)

@@ -1,0 +1,113 @@
+"""Advantages of the finite-horizon problem, by hand: nothing is bootstrapped at the end."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torchrl.objectives.value.functional import generalized_advantage_estimate
+
+from pemirl_trl.functional import discounted_return, ridge_prediction, time_polynomial_features
+from pemirl_trl.objectives import FiniteHorizonAdvantage, ValueLoss
+
+from .problems import K, M, T, networks, rollouts
+
+pytestmark = pytest.mark.usefixtures("float64")
+
+REWARD = [1.0, 2.0, 4.0]
+# gamma = 1/2 and V = 1: deltas 1 + 1/2 - 1, 2 + 1/2 - 1 and, at the last step, 4 + 0 - 1.
+BY_HAND = {
+    1.0: ([2.0, 3.0, 3.0], [3.0, 4.0, 4.0]),  # the targets are the returns-to-go
+    0.5: ([1.0625, 2.25, 3.0], [2.0625, 3.25, 4.0]),  # each delta counts 1/4 a step earlier
+    0.0: ([0.5, 1.5, 3.0], [1.5, 2.5, 4.0]),
+}
+
+
+def episode():
+    reward = torch.tensor(REWARD).view(1, 3, 1)
+    return TensorDict({"observation": torch.zeros(1, 3, 1), "next": {"reward": reward}}, [1, 3])
+
+
+def constant_value(value):
+    return TensorDictModule(
+        lambda observation: torch.full_like(observation, value), ["observation"], ["state_value"]
+    )
+
+
+@pytest.mark.parametrize("lmbda", BY_HAND)
+def test_advantage_and_target_by_hand(lmbda):
+    advantage = FiniteHorizonAdvantage(
+        gamma=0.5, lmbda=lmbda, value=constant_value(1.0), standardize=False
+    )
+    result = advantage(episode())
+    for key, expected in zip(("advantage", "value_target"), BY_HAND[lmbda], strict=True):
+        assert torch.allclose(result[key].flatten(), torch.tensor(expected))
+
+
+def test_a_bootstrapping_estimate_differs():
+    """Treating the time limit as a truncation would add gamma V(s_T) to the last step."""
+    one, no = torch.ones(1, 3, 1), torch.zeros(1, 3, 1, dtype=torch.bool)
+    end = no.clone()
+    end[:, -1] = True
+    bootstrapped, _ = generalized_advantage_estimate(
+        0.5, 1.0, one, one, episode()["next", "reward"], done=end, terminated=no
+    )
+    extra = bootstrapped.flatten() - torch.tensor(BY_HAND[1.0][0])
+    assert torch.allclose(extra, torch.tensor([0.125, 0.25, 0.5]))
+
+
+def scored():
+    batch = rollouts()
+    return batch.set(("next", "reward"), torch.randn(*batch.shape, 1))
+
+
+def test_the_linear_baseline_is_fitted_to_each_contexts_returns():
+    batch = scored()
+    result = FiniteHorizonAdvantage(gamma=0.9, rollouts_per_context=K, standardize=False)(batch)
+    returns = discounted_return(batch["next", "reward"].squeeze(-1), 0.9)
+    features = time_polynomial_features(batch["observation"])
+    for m in range(M):
+        rows = slice(m * K, (m + 1) * K)
+        baseline = ridge_prediction(features[rows].flatten(0, 1)[None], returns[rows].view(1, -1))
+        expected = returns[rows] - baseline.view(K, T)
+        assert torch.allclose(result["advantage"][rows].squeeze(-1), expected)
+    assert torch.allclose(result["value_target"].squeeze(-1), returns)
+
+
+def test_a_return_that_time_explains_leaves_no_advantage():
+    batch = scored().set(("next", "reward"), torch.ones(M * K, T, 1))  # T - t, linear in t
+    result = FiniteHorizonAdvantage(gamma=1.0, rollouts_per_context=K, standardize=False)(batch)
+    assert result["advantage"].abs().max() < 1e-2
+    assert result["value_target"].max() == T
+
+
+def test_standardised_advantages_and_another_reward_key():
+    batch = scored()
+    kwargs = {"rollouts_per_context": M * K}  # more rows than features
+    raw = FiniteHorizonAdvantage(standardize=False, **kwargs)(batch.copy())["advantage"]
+    batch["elsewhere"] = batch["next"].pop("reward")
+    values = FiniteHorizonAdvantage(reward_key="elsewhere", **kwargs)(batch)["advantage"]
+    assert torch.allclose(values, (raw - raw.mean()) / raw.std(correction=0))
+
+
+def test_the_map_of_observations_is_applied_before_the_fit():
+    batch = scored()
+    doubled = batch.copy().set("observation", 2 * batch["observation"])
+    kwargs = {"rollouts_per_context": M * K}
+    result = FiniteHorizonAdvantage(observation_map=lambda x: 2 * x, **kwargs)(batch)
+    expected = FiniteHorizonAdvantage(**kwargs)(doubled)
+    assert torch.equal(result["advantage"], expected["advantage"])
+
+
+def test_rows_that_do_not_divide_are_refused():
+    with pytest.raises(ValueError, match="got 6 rollouts, which 4 rollouts per context"):
+        FiniteHorizonAdvantage(rollouts_per_context=4)(scored())
+
+
+def test_the_value_loss_is_a_mean_square_under_any_name_of_the_value():
+    network, batch = networks().value, rollouts()
+    expected = (network(batch.copy())["state_value"] - batch["value_target"]).square().mean()
+    assert torch.isclose(ValueLoss(network)(batch)["loss_value"], expected)
+    network.out_keys = ["elsewhere"]
+    loss = ValueLoss(network)
+    loss.set_keys(value="elsewhere")
+    assert torch.isclose(loss(batch)["loss_value"], expected)
