@@ -101,9 +101,7 @@ def returns_given_tasks(
     return _returns(name, policy, tasks, _given(tasks, config), config)
 
 
-def returns_of_random_actions(
-    name: str, tasks: TensorDictBase, config: DictConfig
-) -> torch.Tensor:
+def returns_of_random_actions(name: str, tasks: TensorDictBase, config: DictConfig) -> torch.Tensor:
     """True returns ``[tasks]`` of actions drawn uniformly within their bounds."""
     return _returns(name, None, tasks, _given(tasks, config), config)
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import hydra
 import torch
 from adapt_reward import load_test_demonstrations
+from config import plain
 from domains import (
     load_expert,
     returns_given_demonstrations,
@@ -23,7 +23,7 @@ from domains import (
     returns_of_random_actions,
 )
 from drawing import draw_learning_curve, draw_reward_maps
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from run_folder import RunFolder, say
 from torch import Tensor
 
@@ -82,7 +82,9 @@ def _measure(
     returns: dict[tuple[str, str, str], Tensor] = {}
     for env in dict.fromkeys((train, test)):
         expert = load_expert(config.experts[env.split("/")[1]])
-        returns[env, "expert", ""] = returns_given_tasks(env, expert, demonstrations.tasks(), config)
+        returns[env, "expert", ""] = returns_given_tasks(
+            env, expert, demonstrations.tasks(), config
+        )
         returns[env, "random", ""] = returns_of_random_actions(env, demonstrations.tasks(), config)
     for name, networks in (("meta_il", meta_il), (config.method, model)):
         for env, setting in ((train, "one_shot"), (test, "policy_generalisation")):
@@ -127,14 +129,10 @@ def _results(
                     expert=float(returns[env, "expert", ""][chosen].mean()),
                     env_steps=used,
                     seconds=seconds,
-                    config=_container(config),
+                    config=plain(config),
                 )
             )
     return results
-
-
-def _container(config: DictConfig) -> dict[str, Any]:
-    return OmegaConf.to_container(config, resolve=True)  # type: ignore[return-value]
 
 
 def _seconds(run: Path) -> dict[str, float]:

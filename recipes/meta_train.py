@@ -49,14 +49,13 @@ def meta_train(config: DictConfig, folder: RunFolder) -> PEMIRLModel:
     method = _pemirl(config, model, demonstrations)
     folder.train(config.method, method, show="return/true")
     facts = {"method": config.method, "env_steps": str(method.env_steps)}
-    save_model(folder.file("model.safetensors"), model, facts)
-    say(f"meta-trained on {method.env_steps:,} environment steps -> {folder.file('model.safetensors')}")
+    file = folder.file("model.safetensors")
+    save_model(file, model, facts)
+    say(f"meta-trained on {method.env_steps:,} environment steps -> {file}")
     return model
 
 
-def _pemirl(
-    config: DictConfig, model: PEMIRLModel, demonstrations: DemonstrationDataset
-) -> PEMIRL:
+def _pemirl(config: DictConfig, model: PEMIRLModel, demonstrations: DemonstrationDataset) -> PEMIRL:
     settings = typed(PEMIRLConfig, config.pemirl)
     trajectories = demonstrations.trajectories()
     transform = InferContext(

@@ -1,7 +1,7 @@
 """The tables of the README, from the results files.
 
-    python recipes/report.py                  # print
-    python recipes/report.py --write          # and put it between the README's markers
+python recipes/report.py                  # print
+python recipes/report.py --write          # and put it between the README's markers
 """
 
 from __future__ import annotations
@@ -40,13 +40,14 @@ def report(results: list[Result]) -> str:
         f"{method} {count / 1e6:.1f}M of {name.replace('_', '-')}"
         for (method, name), count in sorted(steps.items())
     )
+    commits = sorted({result.commit[:12] for result in results})
     return (
-        f"True returns of the last policy over 30 unseen tasks, seeds {', '.join(map(str, seeds))}: "
-        "mean (normalised) [every seed]. The learner never saw a true reward.\n\n"
+        "True returns of the last policy over unseen tasks, one demonstration each, "
+        f"seeds {', '.join(map(str, seeds))}: mean (normalised) [every seed].\n\n"
         f"{table(results)}\n"
         f"Environment steps: {spent}. {one.hardware['cpus']} CPUs ({one.hardware['cpu']}), torch "
         f"{one.versions['torch']}, TorchRL {one.versions['torchrl']}, MuJoCo "
-        f"{one.versions['mujoco']}, commit {', '.join(sorted({r.commit[:12] for r in results}))}.\n\n"
+        f"{one.versions['mujoco']}, commit {', '.join(commits)}.\n\n"
         f"{PAPER}"
     )
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from config import plain
 from omegaconf import DictConfig, OmegaConf
 from torchrl.record.loggers import Logger, get_logger
 from tqdm import tqdm
@@ -39,17 +40,17 @@ class RunFolder:
         self.config = config
         self.path = Path(config.run_dir)
         self.seconds: dict[str, float] = {}
-        self._claim(OmegaConf.to_container(config, resolve=True))
+        self._claim(plain(config))
         torch.set_num_threads(config.threads)
         self._logger: Logger | None = get_logger(
             config.logger, logger_name=str(self.path), experiment_name="metrics"
         )
 
-    def _claim(self, resolved: Any) -> None:  # noqa: ANN401 (a container of YAML)
+    def _claim(self, resolved: dict[str, Any]) -> None:
         self.path.mkdir(parents=True, exist_ok=True)
         stored = self.path / "config.yaml"
         if stored.exists():
-            previous = OmegaConf.to_container(OmegaConf.load(stored))
+            previous = plain(OmegaConf.create(OmegaConf.load(stored)))  # type: ignore[arg-type]
             changed = sorted(k for k in resolved if previous.get(k) != resolved[k])
             if changed:
                 raise ValueError(
@@ -64,7 +65,7 @@ class RunFolder:
         """A path inside the folder."""
         return self.path / name
 
-    def write_json(self, name: str, content: Any) -> None:  # noqa: ANN401 (whatever JSON takes)
+    def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file, atomically."""
         with atomic_path(self.path / name) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

@@ -1,7 +1,7 @@
 """Train an expert on the true reward: TRPO with a policy that reads the task.
 
     python recipes/train_expert.py
-    python recipes/train_expert.py environment=point_maze/right output=data/point_maze_right_expert.safetensors
+    python recipes/train_expert.py environment=point_maze/right output=my_expert.safetensors
 
 Writes the policy's weights to ``output``; everything else goes to ``run_dir``.
 """

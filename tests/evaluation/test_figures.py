@@ -77,7 +77,8 @@ def test_curve_is_the_mean_where_all_seeds_have_data():
     assert y[0] == pytest.approx((0.5 + 3) / 2)
     assert y[-1] == pytest.approx((2 + 6) / 2)
     assert list(expert.get_ydata()) == [-5.0, -5.0]
-    assert [t.get_text() for t in figure.axes[0].get_legend().get_texts()] == ["pemirl (2 seeds)"]
+    legend = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert legend == ["pemirl (2 seeds)", "expert (-5.00)"]
 
 
 @pytest.mark.parametrize("seeds", [[], [([0, 1], [0.0])], [([], [])]])

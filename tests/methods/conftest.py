@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase, TransformedEnv
 
@@ -76,12 +77,12 @@ class Reach(EnvBase):
         )
 
 
-def reach_expert(position: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
+def reach_expert(position: Tensor, goal: Tensor) -> Tensor:
     """The optimal action of :class:`Reach`: straight to the goal, and stay."""
     return (goal - position) / Reach.step_size
 
 
-def maze_expert(position: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
+def maze_expert(position: Tensor, goal: Tensor) -> Tensor:
     """A hand-written controller of ``point_maze/left``: through the gap, then to the goal."""
     gap = torch.tensor([0.5, 0.37]).expand_as(goal)
     return 6.0 * (torch.where(position[:, 1:] < 0.32, gap, goal) - position)
@@ -163,24 +164,33 @@ class Problem:
         )
 
 
-def _demonstrate(env: EnvBase, expert: Callable, tasks: TensorDict, horizon: int) -> TensorDict:
-    """One expert trajectory per task, ``[J]`` with leaves ``[J, T, ...]``, slightly noisy."""
-    data, steps = env.reset(TensorDict({"task": tasks}, env.batch_size)), []
-    for _ in range(horizon):
-        action = expert(data["observation"], tasks["goal"]).clamp(-1.0, 1.0)
-        data["action"] = action + 0.05 * torch.randn_like(action)
-        data = env.step(data)
-        steps.append(data.select("observation", "action", ("next", "observation")))
-        data = data["next"].exclude("reward")
-    rollouts = torch.stack(steps, 1)
-    rollouts.batch_size = rollouts.batch_size[:1]  # an encoder reduces time
-    return rollouts
+def _problem(
+    make: Callable[..., EnvBase],
+    expert: Callable[[Tensor, Tensor], Tensor],
+    goals: Tensor,
+    horizon: int,
+    noise: float = 0.05,
+) -> Problem:
+    """A problem with one demonstration per goal; ``noise`` is the deviation of its actions."""
+    tasks = TensorDict({"goal": goals}, [len(goals)])
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        env, steps = make(len(goals)), []
+        data = env.reset(TensorDict({"task": tasks}, env.batch_size))
+        for _ in range(horizon):
+            action = expert(data["observation"], goals).clamp(-1.0, 1.0)
+            data["action"] = action + noise * torch.randn_like(action)
+            data = env.step(data)
+            steps.append(data.select("observation", "action", ("next", "observation")))
+            data = data["next"].exclude("reward")
+    demonstrations = torch.stack(steps, 1)
+    demonstrations.batch_size = [len(goals)]  # an encoder reduces time
+    return Problem(make, demonstrations, tasks)
 
 
-def reach_problem(count: int) -> Problem:
-    """The toy with ``count`` demonstrations, of goals spread over [-1, 1] m."""
-    tasks = TensorDict({"goal": torch.linspace(-1.0, 1.0, count).unsqueeze(-1)}, [count])
-    return _problem(Reach, reach_expert, tasks, Reach.horizon)
+def reach_problem(goals: Tensor, noise: float = 0.05) -> Problem:
+    """The toy with demonstrations of these goals ``[J, 1]``."""
+    return _problem(Reach, reach_expert, goals, Reach.horizon, noise)
 
 
 def maze_problem() -> Problem:
@@ -189,22 +199,19 @@ def maze_problem() -> Problem:
     def make(num_envs: int, num_threads: int = 1, seed: int = 0) -> EnvBase:
         return pemirl_envs.make("point_maze/left", num_envs, seed=seed, num_threads=num_threads)
 
-    tasks = pemirl_envs.task_parameters("point_maze/left", "test")[:8]
-    return _problem(make, maze_expert, tasks, 100)
+    goals = pemirl_envs.task_parameters("point_maze/left", "test")["goal"][:8]
+    return _problem(make, maze_expert, goals, horizon=100)
 
 
-def _problem(
-    make: Callable[..., EnvBase], expert: Callable, tasks: TensorDict, horizon: int
-) -> Problem:
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        demonstrations = _demonstrate(make(len(tasks)), expert, tasks, horizon)
-    return Problem(make, demonstrations, tasks)
+@pytest.fixture(scope="session")
+def make_reach() -> Callable[..., Problem]:
+    return reach_problem
 
 
 @pytest.fixture(scope="session")
 def reach() -> Problem:
-    return reach_problem(12)
+    """The toy with 12 demonstrations."""
+    return reach_problem(torch.linspace(-1.0, 1.0, 12).unsqueeze(-1))
 
 
 @pytest.fixture(scope="session")
@@ -212,14 +219,14 @@ def maze() -> Problem:
     return maze_problem()
 
 
-def _flatten(value: Any, prefix: str, flat: dict[str, torch.Tensor]) -> None:
+def _flatten(value: Any, prefix: str, flat: dict[str, Tensor]) -> None:
     if isinstance(value, dict):
         for key, item in value.items():
             _flatten(item, f"{prefix}.{key}", flat)
     elif isinstance(value, (list, tuple)):
         _flatten(dict(enumerate(value)), prefix, flat)
     else:
-        flat[prefix] = value.clone() if isinstance(value, torch.Tensor) else value
+        flat[prefix] = value.clone() if isinstance(value, Tensor) else value
 
 
 @pytest.fixture(scope="session")
@@ -241,7 +248,7 @@ def differences() -> Callable[[dict, dict], list[str]]:
 
     def compare(a: dict[str, Any], b: dict[str, Any]) -> list[str]:
         def equal(x: Any, y: Any) -> bool:
-            both = isinstance(x, torch.Tensor) and isinstance(y, torch.Tensor)
+            both = isinstance(x, Tensor) and isinstance(y, Tensor)
             return torch.equal(x, y) if both else type(x) is type(y) and x == y
 
         return sorted(a.keys() ^ b.keys()) + [

@@ -14,11 +14,7 @@ import pytest
 import torch
 
 from pemirl_trl.checkpoint import TrainingCheckpoint
-from pemirl_trl.data import Negatives
 from pemirl_trl.methods import (
-    BatchConfig,
-    Consolidation,
-    ConsolidationConfig,
     MetaIL,
     MetaILConfig,
     TrainingDiverged,
@@ -34,20 +30,9 @@ def meta_il(problem, seed):
 
 
 def pemirl(problem, seed):
-    # Fewer iterations than are replayed, kept and run: the ring of negatives turns over.
-    kept = {"replay_iterations": 2, "archive_iterations": 3}
-    return problem.pemirl(seed, iterations=ITERATIONS, gradient_penalty_coeff=0.01, **kept)
-
-
-def consolidation(problem, seed):
-    model = problem.model(0)  # what is frozen comes from meta-training
-    meta_training = problem.pemirl(model=model)
-    meta_training.iteration()
-    model = copy.deepcopy(model)
-    model.reward.load_state_dict(problem.model(seed).reward.state_dict())
-    batch = BatchConfig(trajectories=8, time_steps=4, current_fraction=0.0, jitter_fraction=0.7)
-    config = ConsolidationConfig(steps=2 * ITERATIONS, steps_per_iteration=2, batch=batch)
-    return Consolidation(model, problem.demonstrations, meta_training.negatives, config)
+    # Fewer iterations are replayed than run: the ring of negatives turns over.
+    config = {"replay_iterations": 3, "gradient_penalty_coeff": 0.01}
+    return problem.pemirl(seed, iterations=ITERATIONS, **config)
 
 
 def true_reward(problem, seed):
@@ -82,9 +67,7 @@ def run(method, seed, folder, until=None):
     return history
 
 
-@pytest.mark.parametrize(
-    "build", [meta_il, pemirl, consolidation, true_reward, learned_reward, annealed]
-)
+@pytest.mark.parametrize("build", [meta_il, pemirl, true_reward, learned_reward, annealed])
 def test_a_resumed_run_is_bit_identical(build, reach, state, differences, tmp_path):
     straight = build(reach, 1)
     expected = run(straight, 10, tmp_path / "straight")
@@ -217,6 +200,3 @@ def test_steps_that_are_not_whole_iterations_are_refused(steps, each, reach):
     model = reach.model()
     with pytest.raises(ValueError, match=f"steps is {steps}.*which is {each}"):
         MetaIL(model, reach.demonstrations, MetaILConfig(steps=steps, steps_per_iteration=each))
-    config = ConsolidationConfig(steps=steps, steps_per_iteration=each)
-    with pytest.raises(ValueError, match=f"steps is {steps}.*which is {each}"):
-        Consolidation(model, reach.demonstrations, Negatives(1), config)

@@ -94,10 +94,12 @@ def dense_fisher(policy, batch):
     rows = batch.select("observation", "context").reshape(-1)
 
     def mean(*values):
-        outputs = torch.func.functional_call(
-            policy, dict(zip(names, values, strict=True)), (rows.copy(),)
+        loc, _ = torch.func.functional_call(
+            policy.gaussian,
+            dict(zip(names, values, strict=True)),
+            (rows["observation"], rows["context"]),
         )
-        return outputs["loc"] / policy.log_scale.detach().exp()
+        return loc / policy.log_scale.detach().exp()
 
     jacobians = torch.autograd.functional.jacobian(mean, tensors)
     flat = torch.cat([j.flatten(2) for j in jacobians], -1)  # [rows, A, P]

@@ -11,6 +11,7 @@ from pemirl_trl.evaluation.results import (
     read,
     table,
 )
+from pemirl_trl.evaluation.returns import episode_returns
 from pemirl_trl.evaluation.reward_quality import (
     argmax_error,
     distance_to_goal,
@@ -18,7 +19,6 @@ from pemirl_trl.evaluation.reward_quality import (
     reward_on_grid,
     spearman_with_distance,
 )
-from pemirl_trl.evaluation.returns import episode_returns
 from pemirl_trl.evaluation.statistics import Interval, bootstrap_interval, spearman, t_interval
 
 __all__ = [

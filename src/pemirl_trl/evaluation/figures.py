@@ -20,6 +20,7 @@ from pemirl_trl.evaluation.reward_quality import Bounds
 
 __all__ = ["learning_curve", "reward_maps", "save_figure"]
 
+_REFERENCE_STYLES = ("--", ":", "-.")
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito
 _CURVE_POINTS = 200
 _OUTLINE = [withStroke(linewidth=2.4, foreground="0.25")]
@@ -127,7 +128,7 @@ def learning_curve(
     Raises:
         ValueError: a method without seeds, or x and y of different lengths.
     """
-    figure = Figure(figsize=(5.2, 3.4), layout="constrained")
+    figure = Figure(figsize=(6.4, 3.8), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     for index, (name, seeds) in enumerate(series.items()):
@@ -142,19 +143,10 @@ def learning_curve(
         mean = np.mean([np.interp(shared, x, y) for x, y in runs], axis=0)
         label = f"{name} ({len(runs)} seed{'s' if len(runs) > 1 else ''})"
         axes.plot(shared, mean, color=colour, linewidth=2, label=label)
-    for name, value in (references or {}).items():
-        axes.axhline(value, color="0.35", linewidth=1, linestyle="--")
-        axes.annotate(
-            name,
-            (1, value),
-            xycoords=("axes fraction", "data"),
-            xytext=(-2, 2),
-            textcoords="offset points",
-            ha="right",
-            va="bottom",
-            fontsize=8,
-            color="0.35",
-        )
+    for index, (name, value) in enumerate((references or {}).items()):
+        style = _REFERENCE_STYLES[index % len(_REFERENCE_STYLES)]
+        label = f"{name} ({value:.2f})"
+        axes.axhline(value, color="0.35", linewidth=1, linestyle=style, label=label)
     axes.set(xlabel=xlabel, ylabel=ylabel, title=title)
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 3M rather than 3e6
     axes.grid(alpha=0.25)

@@ -252,7 +252,7 @@ def table(results: Sequence[Result]) -> str:
     """
     if not results:
         raise ValueError("got no results; expected at least one")
-    cells: dict[tuple[str, ...], dict[str, dict[int, Result]]] = {}
+    cells: dict[tuple[str, str, str], dict[str, dict[int, Result]]] = {}
     for result in results:
         row = (f"{result.task} {result.variant}", result.setting, result.goals)
         seeds = cells.setdefault(row, {}).setdefault(result.method, {})

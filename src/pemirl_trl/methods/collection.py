@@ -35,6 +35,7 @@ class EpisodeCollector:
             policy,
             frames_per_batch=self.frames,
             total_frames=-1,
+            device=env.device,  # said outright, it saves a copy of every step's data
             reset_at_each_iter=True,
             auto_register_policy_transforms=False,
             track_traj_ids=False,

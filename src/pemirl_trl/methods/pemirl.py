@@ -145,17 +145,20 @@ class PEMIRL:
         return rollouts.select(*keys)[rows]
 
     def _update_policy(self, rollouts: TensorDictBase) -> dict[str, float]:
-        with torch.no_grad():
-            scored = self.model.reward(rollouts.select(*self.model.reward.in_keys))
-            reward = policy_reward(
-                scored["learned_reward"],
-                scored["shaped_reward"],
-                rollouts["action_log_prob"].unsqueeze(-1),
-                self.config.policy_reward,
-            )
+        reward = self._policy_reward(rollouts)
         batch = rollouts.copy().set(("next", "reward"), reward)
         metrics = self._policy_step(batch, self._imitation_loss(rollouts))
         return {"return/learned": float(reward.sum(1).mean()), **metrics}
+
+    @torch.no_grad()
+    def _policy_reward(self, rollouts: TensorDictBase) -> Tensor:
+        kind, keys = self.config.policy_reward, self.model.reward.in_keys
+        if kind == "state":  # r needs no next observation; the potentials' time is saved
+            keys = [keys[0], keys[2]]
+        scored = self.model.reward(rollouts.select(*keys))
+        reward = scored["learned_reward"]
+        shaped = scored.get("shaped_reward", reward)
+        return policy_reward(reward, shaped, rollouts["action_log_prob"].unsqueeze(-1), kind)
 
     def _imitation_loss(self, rollouts: TensorDictBase) -> Callable[[], Tensor] | None:
         if self.config.imitation_coeff == 0:

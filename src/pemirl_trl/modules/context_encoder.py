@@ -13,13 +13,13 @@ from tensordict import TensorDictBase
 from tensordict.nn import (
     ProbabilisticTensorDictModule,
     ProbabilisticTensorDictSequential,
-    TensorDictModule,
 )
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
 from torch.distributions import Independent, Normal
 from torchrl.modules import MLP
 
+from pemirl_trl.modules.direct import DirectModule
 from pemirl_trl.modules.standardize import Standardize
 
 
@@ -75,8 +75,12 @@ class _MaskedTrajectoryNet(nn.Module):
         super().__init__()
         self.standardize, self.step_net, self.net, self.head = standardize, step_net, net, head
 
-    def forward(self, observation: Tensor, action: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(
+        self, observation: Tensor, action: Tensor, mask: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
         inputs = torch.cat([self.standardize(observation), action], -1)
+        if mask is None:
+            mask = torch.ones_like(inputs[..., 0], dtype=torch.bool)
         if not mask.any(-1).all():
             raise ValueError("a trajectory has no valid step: its mask is False everywhere")
         # Select rather than multiply, and before the network as well as after: padding may hold
@@ -91,11 +95,16 @@ class _GaussianContext(ProbabilisticTensorDictSequential):
     """A network that gives (loc, scale), followed by the Gaussian over the context."""
 
     def __init__(
-        self, net: nn.Module, context_dim: int, in_keys: list[NestedKey], context_key: NestedKey
+        self,
+        net: nn.Module,
+        context_dim: int,
+        in_keys: list[NestedKey],
+        context_key: NestedKey,
+        optional: tuple[NestedKey, ...] = (),
     ) -> None:
         loc_key, scale_key = "context_loc", "context_scale"
         super().__init__(
-            TensorDictModule(net, in_keys=in_keys, out_keys=[loc_key, scale_key]),
+            DirectModule(net, in_keys, [loc_key, scale_key], optional),
             ProbabilisticTensorDictModule(
                 in_keys={"loc": loc_key, "scale": scale_key},
                 out_keys=[context_key],
@@ -196,19 +205,5 @@ class MaskedContextEncoder(_GaussianContext):
         masked = _MaskedTrajectoryNet(
             step_net, net, head, standardize or Standardize.identity(observation_dim)
         )
-        super().__init__(masked, context_dim, ["observation", "action", mask_key], context_key)
-        self.mask_key = mask_key
-
-    def get_dist(self, tensordict: TensorDictBase, **kwargs: object) -> Independent:
-        """q(m | trajectory); a missing mask means that every step is valid."""
-        return super().get_dist(self._with_mask(tensordict.copy()), **kwargs)
-
-    def forward(self, tensordict: TensorDictBase, **kwargs: object) -> TensorDictBase:
-        """Write the Gaussian and the context into ``tensordict``."""
-        return super().forward(self._with_mask(tensordict), **kwargs)
-
-    def _with_mask(self, tensordict: TensorDictBase) -> TensorDictBase:
-        if self.mask_key in tensordict.keys(True):
-            return tensordict
-        like = tensordict.get("observation")[..., 0]
-        return tensordict.set(self.mask_key, torch.ones_like(like, dtype=torch.bool))
+        keys = ["observation", "action", mask_key]
+        super().__init__(masked, context_dim, keys, context_key, optional=(mask_key,))

@@ -67,7 +67,9 @@ class ShapedReward(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write r and, where the next observation is given, f into ``tensordict``."""
-        observation, next_observation, context = (tensordict.get(k, None) for k in self.in_keys)
+        key, next_key, context_key = self.in_keys
+        observation, context = tensordict[key], tensordict[context_key]
+        next_observation = tensordict.get(next_key, None)
         reward = self.reward(observation, context)
         tensordict.set(self.out_keys[0], reward)
         if next_observation is None:  # r is a function of the state: maps of it have no next one

@@ -20,6 +20,7 @@ class InferContext(Transform):
 
     The N environments are M groups of K: those of a group share one demonstration and one m
     (context-major order). Each full reset draws anew and uses the encoder's weights of that moment.
+    Draws are from torch's global generator (``torch.manual_seed``), not from the environment's.
     A masked reset draws for the masked groups only, and a group resets as a whole.
 
     Where ``tasks`` are given, the environment is reset to the task of the drawn demonstration, so

@@ -1,0 +1,208 @@
+"""Environment steps per second of meta-training, with the raw engine's in the same run.
+
+One iteration of Algorithm 1 collects whole episodes and does all its updates: encoder and reward,
+then the policy. Its rate is divided by that of MuJoCo's own batch under random controls, with as
+many simulations and threads. Repetitions are interleaved, so that a change in the machine's load
+meets all contenders, and the fastest of each counts::
+
+    python benchmarks/training.py --num-threads 2 --output training.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import pathlib
+import platform
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import torch
+import torchrl
+from mujoco.batch import Batch
+from tensordict import TensorDictBase
+from torchrl.envs import TransformedEnv
+
+from pemirl_envs import get_task, make, task_parameters
+from pemirl_trl import InferContext, PEMIRLModel, Standardize
+from pemirl_trl.methods import PEMIRL, PEMIRLConfig
+
+CONTEXTS = 50  # per iteration, as in the paper
+ROLLOUTS = (8, 16)  # per context: this project's default, and the authors' code's
+ENGINE_ALONE = 800  # simulations
+
+Seconds = dict[str, float]
+Contender = Callable[[], Seconds]
+
+
+class TimedPEMIRL(PEMIRL):
+    """PEMIRL that keeps the seconds of its updates."""
+
+    seconds: Seconds
+
+    def iteration(self) -> dict[str, float]:
+        """One iteration; ``seconds`` holds the parts of the last one."""
+        self.seconds = {}
+        start = time.perf_counter()
+        metrics = super().iteration()
+        updates = sum(self.seconds.values())
+        self.seconds["collection"] = time.perf_counter() - start - updates
+        return metrics
+
+    def _update_encoder_and_reward(self, rollouts: TensorDictBase) -> dict[str, float]:
+        start = time.perf_counter()
+        metrics = super()._update_encoder_and_reward(rollouts)
+        self.seconds["encoder and reward"] = time.perf_counter() - start
+        return metrics
+
+    def _update_policy(self, rollouts: TensorDictBase) -> dict[str, float]:
+        start = time.perf_counter()
+        metrics = super()._update_policy(rollouts)
+        self.seconds["policy"] = time.perf_counter() - start
+        return metrics
+
+
+def raw_engine(name: str, num_envs: int, num_threads: int) -> Contender:
+    """One episode of MuJoCo's batch under random controls."""
+    task = get_task(name)
+    batch = Batch(task.model, num_envs, num_threads)
+    low, high = task.action_bounds
+    actions = low + (high - low) * torch.rand(task.horizon, num_envs, len(low))
+    controls = actions.double().numpy()
+
+    def run() -> Seconds:
+        start = time.perf_counter()
+        batch.reset()
+        for control in controls:
+            batch.ctrl[:] = control
+            batch.step(nstep=task.n_sub_steps)
+        return {"whole": time.perf_counter() - start}
+
+    return run
+
+
+def random_demonstrations(name: str, count: int) -> TensorDictBase:
+    """Rollouts of random actions: the work of an iteration does not depend on who acts."""
+    env = make(name, count, seed=0)
+    keys = ("observation", "action", ("next", "observation"))
+    rollouts = env.rollout(env.task.horizon).select(*keys)
+    rollouts.batch_size = [count]
+    return rollouts
+
+
+def meta_training(name: str, rollouts: int, num_threads: int) -> Contender:
+    """One iteration of PEMIRL, with all updates."""
+    tasks = task_parameters(name, "train_100")
+    experts = random_demonstrations(name, len(tasks))
+    observation, action = experts["observation"], experts["action"]
+    model = PEMIRLModel(
+        observation.shape[-1],
+        action.shape[-1],
+        action.shape[1],
+        standardize=Standardize.fit(observation),
+    )
+    env = make(name, CONTEXTS * rollouts, seed=0, num_threads=num_threads)
+    context = InferContext(model.encoder, experts, rollouts_per_context=rollouts, tasks=tasks)
+    config = PEMIRLConfig(rollouts_per_context=rollouts)
+    method = TimedPEMIRL(model, TransformedEnv(env, context), experts, config)
+
+    def run() -> Seconds:
+        method.iteration()
+        return {"whole": sum(method.seconds.values()), **method.seconds}
+
+    return run
+
+
+def measure(contenders: dict[str, Contender], repetitions: int) -> dict[str, Seconds]:
+    """The fastest of each contender's interleaved repetitions, after one warm-up."""
+    fastest: dict[str, Seconds] = {}
+    for repetition in range(repetitions + 1):
+        for name, run in contenders.items():
+            seconds = run()
+            best = fastest.get(name)
+            if repetition and (best is None or seconds["whole"] < best["whole"]):
+                fastest[name] = seconds
+    return fastest
+
+
+def report(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Measure, and relate each meta-training to the raw engine with as many simulations."""
+    name, threads = arguments.task, arguments.num_threads
+    horizon = get_task(name).horizon
+    sizes = sorted({ENGINE_ALONE, *(CONTEXTS * k for k in ROLLOUTS)})
+    contenders = {f"raw engine, {n}": raw_engine(name, n, threads) for n in sizes}
+    for k in ROLLOUTS:
+        contenders[f"meta-training, {CONTEXTS} x {k}"] = meta_training(name, k, threads)
+    fastest = measure(contenders, arguments.repetitions)
+    rows: dict[str, dict[str, Any]] = {}
+    for n in sizes:
+        whole = fastest[f"raw engine, {n}"]["whole"]
+        rows[f"raw engine, {n}"] = {"steps_per_second": round(n * horizon / whole)}
+    for k in ROLLOUTS:
+        seconds = dict(fastest[f"meta-training, {CONTEXTS} x {k}"])
+        whole, n = seconds.pop("whole"), CONTEXTS * k
+        engine = fastest[f"raw engine, {n}"]["whole"]
+        rows[f"meta-training, {CONTEXTS} x {k}"] = {
+            "steps_per_second": round(n * horizon / whole),
+            "ratio_to_raw_engine": round(engine / whole, 3),
+            "share_of_time": {part: round(s / whole, 3) for part, s in seconds.items()},
+        }
+    return {
+        "task": name,
+        "num_threads": threads,
+        "torch_threads": torch.get_num_threads(),
+        "repetitions": arguments.repetitions,
+        "results": rows,
+        "cpus": os.cpu_count(),
+        "machine": platform.platform(),
+        "versions": {
+            "python": platform.python_version(),
+            "mujoco": mujoco.__version__,
+            "torch": torch.__version__,
+            "torchrl": torchrl.__version__,
+        },
+    }
+
+
+def table(rows: dict[str, dict[str, Any]]) -> str:
+    """The rows, for people."""
+    lines = [f"{'':24}{'steps/s':>10}{'of raw':>8}  time goes to"]
+    for name, row in rows.items():
+        ratio = f"{row['ratio_to_raw_engine']:.0%}" if "ratio_to_raw_engine" in row else ""
+        parts = sorted(row.get("share_of_time", {}).items(), key=lambda item: -item[1])
+        split = ", ".join(f"{part} {share:.0%}" for part, share in parts)
+        lines.append(f"{name:24}{row['steps_per_second']:>10,}{ratio:>8}  {split}".rstrip())
+    return "\n".join(lines) + "\n"
+
+
+def write_json(path: pathlib.Path, content: dict[str, Any]) -> None:
+    """Write a file that is complete or absent."""
+    with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False) as file:
+        json.dump(content, file, indent=2)
+    os.replace(file.name, path)
+
+
+def main() -> None:
+    """Print a table and, with ``--output``, write a JSON file."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--task", default="point_maze/left")
+    parser.add_argument("--num-threads", type=int, default=torch.get_num_threads())
+    parser.add_argument("--repetitions", type=int, default=5)
+    parser.add_argument("--output", type=pathlib.Path, help="a JSON file")
+    arguments = parser.parse_args()
+    torch.set_num_threads(arguments.num_threads)
+    result = report(arguments)
+    sys.stdout.write(table(result["results"]))
+    if arguments.output:
+        write_json(arguments.output, result)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,136 @@
+"""The inference models: what they read, what they ignore, what they return."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from pemirl_trl.modules import ContextEncoder, MaskedContextEncoder
+
+N, T, S, A, D = 5, 6, 3, 2, 2
+
+
+def trajectories(horizon=T):
+    return TensorDict(
+        {"observation": torch.randn(N, horizon, S), "action": torch.randn(N, horizon, A)}, [N]
+    )
+
+
+@pytest.fixture(params=[ContextEncoder, MaskedContextEncoder])
+def encoder(request):
+    horizon = (T,) if request.param is ContextEncoder else ()
+    return request.param(S, A, D, *horizon, scale_depends_on_input=True)
+
+
+def test_get_dist_is_a_diagonal_gaussian_and_leaves_its_input_unchanged(encoder):
+    batch = trajectories()
+    before = batch.clone()
+    q = encoder.get_dist(batch)
+    assert set(batch.keys()) == set(before.keys())
+    assert (batch == before).all()
+    assert (q.batch_shape, q.event_shape) == ((N,), (D,))
+    m = torch.randn(N, D)
+    expected = torch.distributions.Normal(q.mean, q.stddev).log_prob(m).sum(-1)
+    assert torch.allclose(q.log_prob(m), expected)
+    assert encoder.context_dim == D
+
+
+def test_the_module_writes_the_mean_or_a_sample(encoder):
+    batch = trajectories()
+    q = encoder.get_dist(batch)
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        result = encoder(batch.copy())
+    assert torch.equal(result["context"], q.mean)
+    assert torch.equal(result["context_loc"], q.mean)
+    assert torch.equal(result["context_scale"], q.stddev)
+    with set_exploration_type(ExplorationType.RANDOM):
+        draws = torch.stack([encoder(batch.copy())["context"] for _ in range(300)])
+    standard = (draws - q.mean) / q.stddev
+    assert standard.mean().abs() < 0.1
+    assert abs(standard.std() - 1) < 0.1
+
+
+def test_a_sample_is_reparameterised(encoder):
+    encoder.get_dist(trajectories()).rsample().square().sum().backward()
+    assert all(p.grad is not None and p.grad.any() for p in encoder.parameters())
+
+
+def test_trajectories_do_not_see_each_other(encoder, float64):
+    encoder = encoder.double()
+    batch = trajectories()
+    order = torch.tensor([3, 0, 4, 1, 2])
+    expected = encoder.get_dist(batch).mean[order]
+    assert torch.allclose(encoder.get_dist(batch[order]).mean, expected)
+
+
+def test_every_step_matters_and_only_the_flat_encoder_sees_their_order(encoder):
+    batch = trajectories()
+    mean = encoder.get_dist(batch).mean
+    for t in range(T):
+        other = batch.clone()
+        other["action"][:, t] += 1.0
+        assert (encoder.get_dist(other).mean - mean).abs().min() > 1e-6
+    reverse = batch.apply(lambda x: x.flip(1))
+    same = torch.allclose(encoder.get_dist(reverse).mean, mean, atol=1e-6)
+    assert same == isinstance(encoder, MaskedContextEncoder)
+
+
+def test_one_deviation_for_all_unless_told():
+    shared = ContextEncoder(S, A, D, T, initial_scale=0.3)
+    assert torch.allclose(shared.get_dist(trajectories()).stddev, torch.tensor(0.3))
+    own = ContextEncoder(S, A, D, T, initial_scale=0.3, scale_depends_on_input=True)
+    deviation = own.get_dist(trajectories()).stddev
+    assert deviation.std(0).min() > 0
+    assert (deviation > 0).all()
+
+
+@pytest.mark.parametrize("horizon", [T - 1, T + 1])
+def test_another_horizon_is_refused(horizon):
+    with pytest.raises(ValueError, match=f"exactly 6 steps, got {horizon}.*MaskedContextEncoder"):
+        ContextEncoder(S, A, D, T).get_dist(trajectories(horizon))
+
+
+def padded(fill):
+    """Trajectories of 6, 5, 4, 3 and 2 valid steps; the rest is padding."""
+    batch = trajectories()
+    lengths = torch.tensor([6, 5, 4, 3, 2])
+    mask = torch.arange(T) < lengths.unsqueeze(-1)
+    for key in ("observation", "action"):
+        batch[key][~mask] = fill
+    return batch.set("mask", mask), lengths
+
+
+@pytest.mark.parametrize("fill", [1e6, torch.nan, torch.inf])
+def test_padding_changes_nothing(fill):
+    encoder = MaskedContextEncoder(S, A, D, scale_depends_on_input=True)
+    batch, lengths = padded(fill)
+    q = encoder.get_dist(batch)
+    for i, length in enumerate(lengths):
+        cut = {key: batch[key][i : i + 1, :length] for key in ("observation", "action")}
+        alone = encoder.get_dist(TensorDict(cut, [1]))
+        assert torch.allclose(q.mean[i], alone.mean[0], atol=1e-6)
+        assert torch.allclose(q.stddev[i], alone.stddev[0], atol=1e-6)
+
+
+def test_padding_leaves_gradients_finite_and_equal():
+    encoder = MaskedContextEncoder(S, A, D, activation=nn.Tanh)
+    torch.manual_seed(1)
+    zeros, _ = padded(0.0)
+    torch.manual_seed(1)
+    nans, _ = padded(torch.nan)
+    gradients = [
+        torch.autograd.grad(
+            encoder.get_dist(b).log_prob(torch.ones(N, D)).sum(), encoder.parameters()
+        )
+        for b in (zeros, nans)
+    ]
+    for expected, got in zip(*gradients, strict=True):
+        assert torch.equal(got, expected)
+
+
+def test_a_trajectory_without_a_valid_step_is_refused():
+    batch, _ = padded(0.0)
+    batch["mask"][2] = False
+    with pytest.raises(ValueError, match="no valid step"):
+        MaskedContextEncoder(S, A, D).get_dist(batch)

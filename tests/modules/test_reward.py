@@ -1,0 +1,70 @@
+"""The shaped reward and the discriminator on top of it are what their equations say."""
+
+import torch
+from tensordict import TensorDict
+
+from pemirl_trl.modules import AIRLDiscriminator, ShapedReward, Standardize
+
+N, S, D = 7, 3, 2
+
+
+def batch():
+    return TensorDict(
+        {
+            "observation": torch.randn(N, S),
+            "next": {"observation": torch.randn(N, S)},
+            "context": torch.randn(N, D),
+            "action_log_prob": torch.randn(N),
+        },
+        [N],
+    )
+
+
+def test_the_shaped_reward_and_the_logit(float64):
+    reward = ShapedReward(S, D, gamma=0.7, standardize=Standardize(torch.randn(S), torch.ones(S)))
+    b = batch()
+    result = AIRLDiscriminator(reward)(b.copy())
+    s, following, m = b["observation"], b["next", "observation"], b["context"]
+    shaping = 0.7 * reward.potential(following, m) - reward.potential(s, m)
+    assert torch.allclose(result["learned_reward"], reward.reward(s, m))
+    assert torch.allclose(result["shaped_reward"], reward.reward(s, m) + shaping)
+    expected = result["shaped_reward"].squeeze(-1) - b["action_log_prob"]
+    assert torch.allclose(result["logit_expert"].squeeze(-1), expected)
+
+
+def test_reward_and_potential_are_two_networks_and_the_reward_reads_the_state_alone():
+    reward = ShapedReward(S, D)
+    b, other = batch(), batch()
+    r = reward(b.copy())["learned_reward"]
+    b["next", "observation"] = other["next", "observation"]
+    with torch.no_grad():
+        for parameter in reward.potential_net.parameters():
+            parameter.add_(1.0)
+    assert torch.equal(reward(b.copy())["learned_reward"], r)
+    b["context"] = other["context"]
+    assert not torch.equal(reward(b)["learned_reward"], r)
+
+
+def test_without_a_next_observation_there_is_r_and_no_f():
+    reward, b = ShapedReward(S, D), batch()
+    expected = reward(b.copy())["learned_reward"]
+    result = reward(b.select("observation", "context"))
+    assert torch.equal(result["learned_reward"], expected)
+    assert set(result.keys()) == {"observation", "context", "learned_reward"}
+
+
+def test_a_discriminator_shares_its_reward():
+    reward = ShapedReward(S, D)
+    discriminator = AIRLDiscriminator(reward)
+    assert {id(p) for p in discriminator.parameters()} == {id(p) for p in reward.parameters()}
+
+
+def test_keys_can_be_nested(float64):
+    reward = ShapedReward(S, D, context_key=("latent", "m"))
+    discriminator = AIRLDiscriminator(reward, log_prob_key=("old", "log_prob"))
+    b = batch()
+    plain = ShapedReward(S, D)
+    plain.load_state_dict(reward.state_dict())
+    expected = AIRLDiscriminator(plain)(b.copy())["logit_expert"]
+    b.rename_key_("context", ("latent", "m")).rename_key_("action_log_prob", ("old", "log_prob"))
+    assert torch.equal(discriminator(b)["logit_expert"], expected)
