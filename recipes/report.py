@@ -40,7 +40,7 @@ def report(results: list[Result]) -> str:
         f"{method} {count / 1e6:.1f}M of {name.replace('_', '-')}"
         for (method, name), count in sorted(steps.items())
     )
-    commits = sorted({result.commit[:12] for result in results})
+    commits = sorted({_short(result.commit) for result in results})
     return (
         "True returns of the last policy over unseen tasks, one demonstration each, "
         f"seeds {', '.join(map(str, seeds))}: mean (normalised) [every seed].\n\n"
@@ -50,6 +50,10 @@ def report(results: list[Result]) -> str:
         f"{one.versions['mujoco']}, commit {', '.join(commits)}.\n\n"
         f"{PAPER}"
     )
+
+
+def _short(commit: str) -> str:
+    return commit[:12] + ("-dirty" if commit.endswith("-dirty") else "")
 
 
 def main() -> None:

@@ -118,7 +118,8 @@ def test_a_killed_process_is_resumed_by_another(maze, state, differences, tmp_pa
         while not list(folder.glob("checkpoint-*2")) and process.poll() is None:
             time.sleep(0.005)
         process.kill()
-    assert process.returncode == -signal.SIGKILL, process.stderr
+        _, errors = process.communicate()
+    assert process.returncode == -signal.SIGKILL, errors.decode()
     with start(folder) as process:
         _, errors = process.communicate()
     assert process.returncode == 0, errors.decode()
