@@ -68,7 +68,7 @@ def types(session: nox.Session) -> None:
 @nox.session
 def quickstart(session: nox.Session) -> None:
     """Run the quickstart as a user does; arguments are Hydra overrides."""
-    install(session, ".[recipes]")
+    install(session, "-e", ".[recipes]")
     session.run("python", "recipes/quickstart.py", *session.posargs, env=HEADLESS)
 
 

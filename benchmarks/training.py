@@ -29,6 +29,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 
 from pemirl_envs import get_task, make, task_parameters
+from pemirl_envs.simulation.mujoco_batch import available_cpus
 from pemirl_trl import InferContext, PEMIRLModel, Standardize
 from pemirl_trl.methods import PEMIRL, PEMIRLConfig
 
@@ -193,11 +194,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--task", default="point_maze/left")
-    parser.add_argument("--num-threads", type=int, default=torch.get_num_threads())
+    parser.add_argument(
+        "--num-threads", type=int, default=available_cpus(), help="of the simulations"
+    )
     parser.add_argument("--repetitions", type=int, default=5)
     parser.add_argument("--output", type=pathlib.Path, help="a JSON file")
     arguments = parser.parse_args()
-    torch.set_num_threads(arguments.num_threads)
+    # The tensors are small, and on a busy machine OpenMP's threads spin: ten times slower.
+    torch.set_num_threads(1)
     result = report(arguments)
     sys.stdout.write(table(result["results"]))
     if arguments.output:

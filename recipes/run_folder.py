@@ -29,8 +29,7 @@ class RunFolder:
     their files, the stage at hand continues from its last checkpoint.
 
     Args:
-        config: resolved; has ``run_dir``, ``seed``, ``threads``, ``logger`` and
-            ``checkpoint_every``.
+        config: resolved; has ``run_dir``, ``seed``, ``logger`` and ``checkpoint_every``.
 
     Raises:
         ValueError: the folder holds a run of another configuration.
@@ -41,7 +40,10 @@ class RunFolder:
         self.path = Path(config.run_dir)
         self.seconds: dict[str, float] = {}
         self._claim(plain(config))
-        torch.set_num_threads(config.threads)
+        # One thread: sums of floats depend on how many share them, so this makes a run's results
+        # those of its seed, whatever ``threads`` gives the simulator. More would gain little here,
+        # and on a busy machine they spin.
+        torch.set_num_threads(1)
         self._logger: Logger | None = get_logger(
             config.logger, logger_name=str(self.path), experiment_name="metrics"
         )

@@ -27,6 +27,16 @@ def test_both_losses_from_their_parts(problem):
     assert torch.isclose(result["loss_info_reward"], expected)
 
 
+@pytest.mark.parametrize("summand", ["shaped", "state"])
+def test_only_f_trains_the_potential(problem, summand):
+    nets, batch = problem
+    loss = InfoLoss(nets.encoder, nets.reward, rollouts_per_context=K, summand=summand)
+    (gradient,) = torch.autograd.grad(
+        loss(batch)["loss_info_reward"], nets.reward.potential_net[-1].weight, allow_unused=True
+    )
+    assert (gradient is None) == (summand == "state")
+
+
 def test_a_batch_without_time_in_its_size_gives_the_same(problem):
     nets, batch = problem
     loss = InfoLoss(nets.encoder, nets.reward, rollouts_per_context=K)
