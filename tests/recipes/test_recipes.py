@@ -1,5 +1,6 @@
-"""The recipes as a user runs them: in a process, from another folder."""
+"""The recipes: once as a user runs them, in a process of its own; then stage by stage."""
 
+import importlib
 import json
 import os
 import pathlib
@@ -7,35 +8,50 @@ import subprocess
 import sys
 
 import pytest
+from hydra import compose, initialize_config_dir
+from hydra.errors import HydraException
 
 from pemirl_trl.evaluation import read
 from pemirl_trl.pretrained import load_model
 
 RECIPES = pathlib.Path(__file__).parents[2] / "recipes"
+SMOKE = ("preset=smoke", "threads=1", "run_dir=smoke")
 
 
-def run(name, *overrides, cwd, check=True):
+def run(name, *overrides, cwd):
     return subprocess.run(
         [sys.executable, str(RECIPES / f"{name}.py"), *overrides],
         cwd=cwd,
-        check=check,
         capture_output=True,
         text=True,
         env=os.environ | {"MUJOCO_GL": "disable", "CUDA_VISIBLE_DEVICES": ""},
     )
 
 
+@pytest.fixture
+def recipe(monkeypatch):
+    """A module of recipes/, imported as its scripts import each other."""
+    monkeypatch.syspath_prepend(str(RECIPES))
+    return importlib.import_module
+
+
+def config(name, *overrides):
+    with initialize_config_dir(str(RECIPES / "conf"), version_base="1.3"):
+        return compose(name, list(overrides))
+
+
 @pytest.fixture(scope="module")
-def quickstart(tmp_path_factory):
+def smoke(tmp_path_factory):
+    """A finished quickstart, run by the user's command: its folder, and what it printed."""
     cwd = tmp_path_factory.mktemp("run")
-    done = run("quickstart", "preset=smoke", "threads=1", "run_dir=smoke", cwd=cwd)
-    return cwd, done
+    done = run("quickstart", *SMOKE, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    return cwd, done.stdout + done.stderr
 
 
-def test_quickstart_prints_a_table_and_leaves_its_files(quickstart):
-    cwd, done = quickstart
-    assert "| point_maze right | reward_adaptation | x_in_0.1_0.4 |" in done.stdout + done.stderr
-    folder = cwd / "smoke"
+def test_quickstart_prints_a_table_and_leaves_its_files(smoke):
+    cwd, printed = smoke
+    assert "| point_maze right | reward_adaptation | x_in_0.1_0.4 |" in printed
     for name in (
         "config.yaml",
         "versions.json",
@@ -47,8 +63,8 @@ def test_quickstart_prints_a_table_and_leaves_its_files(quickstart):
         "figures/learning_curve.png",
         "metrics/scalars",
     ):
-        assert (folder / name).exists(), name
-    results = [read(file) for file in (folder / "results").glob("*.json")]
+        assert (cwd / "smoke" / name).exists(), name
+    results = [read(file) for file in (cwd / "smoke/results").glob("*.json")]
     assert {(r.method, r.setting) for r in results} == {
         ("meta_il", "one_shot"),
         ("meta_il", "policy_generalisation"),
@@ -60,76 +76,97 @@ def test_quickstart_prints_a_table_and_leaves_its_files(quickstart):
     assert all(r.config["preset"] == "smoke" for r in results)
 
 
-def test_a_finished_run_is_not_trained_again(quickstart):
-    cwd, _ = quickstart
+def test_a_finished_run_is_not_trained_again(smoke, recipe, monkeypatch):
+    cwd, _ = smoke
+    monkeypatch.chdir(cwd)
     weights = (cwd / "smoke/model.safetensors").read_bytes()
-    curve = json.loads((cwd / "smoke/curves/pemirl_blurred.json").read_text())
-    run("quickstart", "preset=smoke", "threads=1", "run_dir=smoke", cwd=cwd)
+    curve = (cwd / "smoke/curves/pemirl_blurred.json").read_text()
+    recipe("quickstart").quickstart(config("quickstart", *SMOKE))
     assert (cwd / "smoke/model.safetensors").read_bytes() == weights
-    assert json.loads((cwd / "smoke/curves/pemirl_blurred.json").read_text()) == curve
-    assert [steps for steps, _ in curve] == [800, 1600]
+    assert (cwd / "smoke/curves/pemirl_blurred.json").read_text() == curve
+    assert [steps for steps, _ in json.loads(curve)] == [800, 1600]
 
 
-def test_recipes_compose(quickstart):
-    """adapt_reward.py and evaluate.py take what quickstart's stages left."""
-    cwd, _ = quickstart
-    adapted = run(
-        "adapt_reward",
-        "model_file=smoke/model.safetensors",
-        "adaptation.optimization.iterations=1",
-        "adaptation.rollouts_per_context=2",
-        "threads=1",
-        "run_dir=adapted",
-        cwd=cwd,
-    )
-    assert "adapted on 6,000 environment steps" in adapted.stdout + adapted.stderr
-    folders = ["meta_run=smoke", "adaptation_run=adapted", "run_dir=evaluated"]
-    run("evaluate", *folders, "evaluation.episodes=1", "threads=1", cwd=cwd)
-    assert len(list((cwd / "evaluated/results").glob("*.json"))) == 10
-    assert load_model(cwd / "smoke/model.safetensors").config.context_dim == 3
+def test_results_do_not_depend_on_the_number_of_threads(smoke, recipe, monkeypatch):
+    cwd, _ = smoke
+    monkeypatch.chdir(cwd)
+    two = config("quickstart", "preset=smoke", "threads=2", "run_dir=two_threads", "logger=null")
+    recipe("meta_train").meta_train(two, recipe("run_folder").RunFolder(two))
+    weights = (cwd / "smoke/model.safetensors").read_bytes()
+    assert (cwd / "two_threads/model.safetensors").read_bytes() == weights
 
 
-def test_a_folder_of_another_configuration_is_refused(quickstart):
-    cwd, _ = quickstart
-    arguments = ["preset=smoke", "threads=1", "run_dir=smoke", "seed=7"]
-    refused = run("quickstart", *arguments, cwd=cwd, check=False)
-    assert refused.returncode != 0
-    assert "holds a run with another seed" in refused.stderr
+def test_stages_compose(smoke, recipe, monkeypatch):
+    """adapt_reward.py and evaluate.py take what other runs left."""
+    cwd, _ = smoke
+    monkeypatch.chdir(cwd)
+    folder = recipe("run_folder").RunFolder
+    tiny = ("adaptation.optimization.iterations=1", "adaptation.rollouts_per_context=2")
+    adapted = config("adapt_reward", *tiny, "run_dir=adapted", "logger=null")
+    model = load_model(cwd / "smoke/model.safetensors")
+    recipe("adapt_reward").adapt(adapted, folder(adapted), model)
+    assert json.loads((cwd / "adapted/curves/adaptation.json").read_text())[-1][0] == 6000
+    evaluated = config("evaluate", "evaluation.episodes=1", "run_dir=evaluated", "logger=null")
+    runs = (cwd / "smoke", cwd / "adapted")
+    results = recipe("evaluate").evaluate(evaluated, folder(evaluated), *runs)
+    assert len(results) == len(list((cwd / "evaluated/results").glob("*.json"))) == 10
+    assert {r.env_steps["adaptation"] for r in results} == {0, 6000}
+
+
+def test_a_folder_of_another_configuration_is_refused(smoke, recipe, monkeypatch):
+    monkeypatch.chdir(smoke[0])
+    with pytest.raises(ValueError, match="holds a run with another seed"):
+        recipe("run_folder").RunFolder(config("quickstart", *SMOKE, "seed=7"))
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [("pemirl.no_such_key=1", "no_such_key"), ("method=gail", "pemirl_blurred")],
+)
+def test_hydra_names_what_there_is(override, message):
+    with pytest.raises(HydraException, match=message):
+        config("meta_train", override)
 
 
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("pemirl.no_such_key=1", "no_such_key"),
-        ("+pemirl.typo=1", "unknown keys ['typo'] for PEMIRLConfig; legal are"),
-        ("method=gail", "Available options"),
+        ("+pemirl.typo=1", r"unknown keys \['typo'\] for PEMIRLConfig; legal are"),
         ("demonstrations=nowhere.safetensors", "no file nowhere.safetensors"),
         ("environment=point_maze/up", "unknown task 'point_maze/up'; expected one of"),
+        ("meta_il.steps=15", "steps"),
     ],
 )
-def test_bad_overrides_are_explained(tmp_path, override, message):
-    arguments = ["preset=smoke", "threads=1", override]
-    refused = run("meta_train", *arguments, cwd=tmp_path, check=False)
-    assert refused.returncode != 0
-    assert message in refused.stderr
+def test_bad_values_are_explained(recipe, tmp_path, monkeypatch, override, message):
+    monkeypatch.chdir(tmp_path)
+    values = config("meta_train", *SMOKE, "logger=null", override)
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        recipe("meta_train").meta_train(values, recipe("run_folder").RunFolder(values))
 
 
-@pytest.mark.parametrize("name", ["train_expert", "collect_demos", "evaluate", "quickstart"])
-def test_help_lists_every_value(tmp_path, name):
-    text = run(name, "--help", cwd=tmp_path).stdout
+def test_help_lists_every_value_and_touches_nothing(tmp_path):
+    text = run("quickstart", "--help", cwd=tmp_path).stdout
     assert "override any as key=value" in text
-    assert "seed: 0" in text
+    assert "imitation_coeff: 0.01" in text
     assert list(tmp_path.iterdir()) == []
 
 
-def test_expert_and_demonstrations(tmp_path):
+def test_expert_and_demonstrations(recipe, tmp_path, monkeypatch):
     """A tiny expert and its demonstrations, as the data card's commands make them."""
-    tiny = ["optimization.iterations=1", "tasks_per_batch=2", "rollouts_per_task=2"]
-    files = ["output=expert.safetensors", "run_dir=expert", "threads=1", "evaluation.episodes=1"]
-    trained = run("train_expert", *tiny, *files, cwd=tmp_path)
-    assert "expert on point_maze/left" in trained.stdout + trained.stderr
-    arguments = ["expert=expert.safetensors", "output=demos.safetensors", "split=train"]
-    run("collect_demos", *arguments, "per_task=2", "threads=1", cwd=tmp_path)
-    again = run("adapt_reward", "model_file=none.safetensors", cwd=tmp_path, check=False)
-    assert "no file none.safetensors" in again.stderr
-    assert (tmp_path / "demos.safetensors").exists()
+    monkeypatch.chdir(tmp_path)
+    tiny = ("optimization.iterations=1", "tasks_per_batch=2", "rollouts_per_task=2")
+    values = config(
+        "train_expert", *tiny, "output=expert.safetensors", "evaluation.episodes=1", "logger=null"
+    )
+    recipe("train_expert").train_expert(values, recipe("run_folder").RunFolder(values))
+    values = config(
+        "collect_demos", "expert=expert.safetensors", "output=demos.safetensors", "split=train",
+        "per_task=2",
+    )  # fmt: skip
+    demonstrations = recipe("collect_demos").collect_demos(values)
+    assert len(demonstrations) == 26
+    goals = demonstrations.tasks()["goal"].view(13, 2, 2)
+    assert (goals[:, 0] == goals[:, 1]).all()
+    again = type(demonstrations).load(tmp_path / "demos.safetensors")
+    assert (again.observation == demonstrations.observation).all()
+    assert again.provenance.extra["split"] == "train"
