@@ -23,7 +23,8 @@ logit_expert             [..., 1]    f - log pi   AIRLDiscriminator; high means 
 ("next", "true_reward")  [N, T, 1]                LearnedReward: the environment's own, a metric
 advantage, value_target  [N, T, 1]                FiniteHorizonAdvantage
 ("task", ...)            [N, T, ..]               ground truth; metrics may read it, no learner does
-loss_*                   []                       every loss; all else it returns is detached
+loss_*                   []                       every loss; its other outputs are detached,
+                                                  but for the constraint ``kl`` of TRPOLoss
 ======================== =========== ============ =============================================
 """
 

@@ -6,7 +6,7 @@ from tensordict import TensorDict
 
 from pemirl_trl.methods import BatchConfig, MetaIL, MetaILConfig, TRPOConfig, train
 
-SEEDS = (0, 1, 2)
+SEEDS = (3, 4, 5)  # the settings below were chosen on others
 GOALS = 20  # unseen, per seed
 SHUFFLES = 1999
 
@@ -78,6 +78,10 @@ def test_the_reward_of_an_unseen_demonstration_peaks_at_its_goal(make_reach):
     n = goal.numel()
     coin = torch.distributions.Binomial(n, 0.5)
     p_policy = float(coin.log_prob(torch.arange(wins, n + 1.0)).exp().sum())
-    facts = f"distance {distance:.3f} m, by chance {exchanged.mean():.3f} m; {wins} of {n} wins"
+    facts = (
+        f"distance of the peak {distance:.3f} m, by chance {exchanged.mean():.3f} m, "
+        f"p {p_reward:.4f}; policy better than untrained on {wins} of {n}, p {p_policy:.1e}"
+    )
+    print(facts)
     assert p_reward < 0.01, facts
     assert p_policy < 0.01, facts

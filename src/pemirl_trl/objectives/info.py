@@ -31,7 +31,8 @@ class InfoLoss(KeyedLoss):
     Args:
         encoder: q_psi; needs ``get_dist``.
         reward: r and f.
-        rollouts_per_context: K >= 2; the batch holds the K rollouts of each context in a row.
+        rollouts_per_context: K >= 2; the batch holds the K rollouts of each context in a row, all
+            of one length: no mask is read.
         summand: what R_theta sums over the rollout: ``"shaped"`` f, as the paper, of which the
             potentials telescope to the end states, or ``"state"`` r alone.
         time_mean: average over time instead of summing, which divides the estimate by T.
@@ -68,6 +69,10 @@ class InfoLoss(KeyedLoss):
     ) -> None:
         if summand not in get_args(Summand):
             raise ValueError(f"unknown summand {summand!r}; choose one of {get_args(Summand)}")
+        if rollouts_per_context < 2:
+            raise ValueError(
+                f"a covariance needs at least 2 rollouts per context, got {rollouts_per_context}"
+            )
         super().__init__()
         self.convert_to_functional(encoder, "encoder_network", create_target_params=False)
         self.convert_to_functional(reward, "reward_network", create_target_params=False)

@@ -61,7 +61,7 @@ class MetaILLoss(KeyedLoss):
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
-        """Compute both losses on demonstrations, leaves ``[N, T, ...]``."""
+        """Compute both losses on demonstrations of one length, leaves ``[N, T, ...]``."""
         observation, action = (tensordict[key] for key in self._input_keys())
         inputs = TensorDict({"observation": observation, "action": action}, observation.shape[:1])
         with self.encoder_network_params.to_module(

@@ -72,7 +72,8 @@ class FiniteHorizonAdvantage:
 
     Writes ``advantage`` and ``value_target``, both ``[N, T, 1]``. The baseline is a value
     network, or, with ``value=None``, the linear one of Duan et al. (2016), fitted in closed form to
-    the returns of each context's own batch of rollouts on (s, s^2, t, t^2, t^3, 1).
+    the returns of each context's own batch of rollouts on (s, s^2, t, t^2, t^3, 1). Where a context
+    has few more transitions than these 2 S + 4 features, the fit would interpolate: use a network.
 
     Args:
         gamma: discount.
