@@ -1,7 +1,9 @@
 """Environment steps per second: the raw engine, the environment, and a policy in the loop.
 
 Runs interleaved repetitions of each contender in one process, so that a change in the machine's
-load meets all of them, and reports medians and their ratios to the raw engine::
+load meets all of them, and reports medians and their ratios to the raw engine. The raw engine
+replays the controls that the policy drew, from the same states: contacts cost time, so other
+controls would be other work. Torch runs on one thread, as in the recipes::
 
     python benchmarks/stepping.py --num-envs 800 --output stepping.json
 """
@@ -24,36 +26,38 @@ import numpy as np
 import torch
 import torchrl
 from mujoco.batch import Batch
-from tensordict.nn import NormalParamExtractor, TensorDictModule
+from torch import Tensor
 from torchrl.collectors import Collector
 from torchrl.envs import ExplorationType, set_exploration_type
-from torchrl.modules import IndependentNormal, ProbabilisticActor
 
 from pemirl_envs import TaskEnv, get_task, make
-
-HIDDEN = 64
+from pemirl_trl import ContextPolicy
 
 Runs = dict[str, Callable[[], object]]
 
 
-def gaussian_actor(env: TaskEnv) -> ProbabilisticActor:
-    """A Gaussian policy with two hidden layers of 64 tanh units."""
+def gaussian_actor(env: TaskEnv) -> ContextPolicy:
+    """The policy of the methods, of the paper's size, conditioned on the task."""
+    task = env.observation_spec["task"]
+    (key,) = task.keys()
     observation_size = env.observation_spec["observation"].shape[-1]
-    network = torch.nn.Sequential(
-        torch.nn.Linear(observation_size, HIDDEN),
-        torch.nn.Tanh(),
-        torch.nn.Linear(HIDDEN, HIDDEN),
-        torch.nn.Tanh(),
-        torch.nn.Linear(HIDDEN, 2 * env.action_spec.shape[-1]),
-        NormalParamExtractor(),
+    return ContextPolicy(
+        observation_size,
+        env.action_spec.shape[-1],
+        task[key].shape[-1],
+        context_key=("task", key),
     )
-    return ProbabilisticActor(
-        TensorDictModule(network, in_keys=["observation"], out_keys=["loc", "scale"]),
-        in_keys=["loc", "scale"],
-        distribution_class=IndependentNormal,
-        return_log_prob=True,
-        spec=env.action_spec_unbatched,
-    )
+
+
+def recorded(env: TaskEnv, actor: ContextPolicy) -> tuple[Tensor, Tensor]:
+    """The states at a reset, and the clipped actions ``[T, N, A]`` of an episode from them."""
+    data, actions = env.reset(), []
+    start = env.physics_state()
+    low, high = env.task.action_bounds
+    for _ in range(env.task.horizon):
+        step, data = env.step_and_maybe_reset(actor(data))
+        actions.append(step["action"].clamp(low, high))
+    return start, torch.stack(actions)
 
 
 def contenders(name: str, num_envs: int, num_threads: int | None) -> Runs:
@@ -67,16 +71,17 @@ def contenders(name: str, num_envs: int, num_threads: int | None) -> Runs:
         gaussian_actor(collected),
         frames_per_batch=num_envs * task.horizon,
         total_frames=-1,
+        device=collected.device,
+        track_traj_ids=False,
         auto_register_policy_transforms=False,
     )
     batches = iter(collector)
+    start, actions = recorded(env, actor)
     batch = Batch(task.model, num_envs, env.episodes.simulation.num_threads)
-    low, high = task.action_bounds
-    actions = low + (high - low) * torch.rand(task.horizon, num_envs, len(low))
     controls = actions.double().numpy()
 
     def raw_engine() -> None:
-        batch.reset()
+        batch.state[:] = start.numpy()
         for control in controls:
             batch.ctrl[:] = control
             batch.step(nstep=task.n_sub_steps)
@@ -159,7 +164,9 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=10)
     parser.add_argument("--output", type=pathlib.Path)
     arguments = parser.parse_args()
-    runs = contenders(arguments.task, arguments.num_envs, arguments.num_threads)
+    torch.set_num_threads(1)
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+        runs = contenders(arguments.task, arguments.num_envs, arguments.num_threads)
     result = report(arguments, measure(runs, arguments.repetitions))
     ratios = result["ratio_to_raw_engine"]
     sys.stdout.write(f"{'':22}{'steps/s':>10}{'of raw':>9}\n")

@@ -1,9 +1,10 @@
 """Environment steps per second of meta-training, with the raw engine's in the same run.
 
 One iteration of Algorithm 1 collects whole episodes and does all its updates: encoder and reward,
-then the policy. Its rate is divided by that of MuJoCo's own batch under random controls, with as
-many simulations and threads. Repetitions are interleaved, so that a change in the machine's load
-meets all contenders, and the fastest of each counts::
+then the policy. Its rate is divided by that of MuJoCo's own batch with as many simulations and
+threads, under the controls that the policy drew in its last iteration: contacts cost time, so other
+controls would be other work. Repetitions are interleaved, so that a change in the machine's load
+meets all contenders, and medians count, the ratio's over pairs of neighbours::
 
     python benchmarks/training.py --num-threads 2 --output training.json
 """
@@ -19,6 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from statistics import median
 from typing import Any
 
 import mujoco
@@ -26,6 +28,7 @@ import torch
 import torchrl
 from mujoco.batch import Batch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.envs import TransformedEnv
 
 from pemirl_envs import get_task, make, task_parameters
@@ -35,16 +38,16 @@ from pemirl_trl.methods import PEMIRL, PEMIRLConfig
 
 CONTEXTS = 50  # per iteration, as in the paper
 ROLLOUTS = (8, 16)  # per context: this project's default, and the authors' code's
-ENGINE_ALONE = 800  # simulations
 
 Seconds = dict[str, float]
 Contender = Callable[[], Seconds]
 
 
 class TimedPEMIRL(PEMIRL):
-    """PEMIRL that keeps the seconds of its updates."""
+    """PEMIRL that keeps the seconds of its updates, and the actions of its last iteration."""
 
     seconds: Seconds
+    actions: Tensor  # [N, T, A]
 
     def iteration(self) -> dict[str, float]:
         """One iteration; ``seconds`` holds the parts of the last one."""
@@ -62,21 +65,22 @@ class TimedPEMIRL(PEMIRL):
         return metrics
 
     def _update_policy(self, rollouts: TensorDictBase) -> dict[str, float]:
+        self.actions = rollouts["action"]
         start = time.perf_counter()
         metrics = super()._update_policy(rollouts)
         self.seconds["policy"] = time.perf_counter() - start
         return metrics
 
 
-def raw_engine(name: str, num_envs: int, num_threads: int) -> Contender:
-    """One episode of MuJoCo's batch under random controls."""
+def raw_engine(method: TimedPEMIRL, name: str, num_threads: int) -> Contender:
+    """One episode of MuJoCo's batch under the controls of the method's last iteration."""
     task = get_task(name)
+    num_envs = method.actions.shape[0]
     batch = Batch(task.model, num_envs, num_threads)
     low, high = task.action_bounds
-    actions = low + (high - low) * torch.rand(task.horizon, num_envs, len(low))
-    controls = actions.double().numpy()
 
     def run() -> Seconds:
+        controls = method.actions.clamp(low, high).transpose(0, 1).double().contiguous().numpy()
         start = time.perf_counter()
         batch.reset()
         for control in controls:
@@ -96,8 +100,8 @@ def random_demonstrations(name: str, count: int) -> TensorDictBase:
     return rollouts
 
 
-def meta_training(name: str, rollouts: int, num_threads: int) -> Contender:
-    """One iteration of PEMIRL, with all updates."""
+def meta_training(name: str, rollouts: int, num_threads: int) -> TimedPEMIRL:
+    """PEMIRL after its first iteration."""
     tasks = task_parameters(name, "train_100")
     experts = random_demonstrations(name, len(tasks))
     observation, action = experts["observation"], experts["action"]
@@ -112,6 +116,13 @@ def meta_training(name: str, rollouts: int, num_threads: int) -> Contender:
     config = PEMIRLConfig(rollouts_per_context=rollouts)
     method = TimedPEMIRL(model, TransformedEnv(env, context), experts, config)
 
+    method.iteration()
+    return method
+
+
+def iteration(method: TimedPEMIRL) -> Contender:
+    """One iteration, with all updates."""
+
     def run() -> Seconds:
         method.iteration()
         return {"whole": sum(method.seconds.values()), **method.seconds}
@@ -119,39 +130,43 @@ def meta_training(name: str, rollouts: int, num_threads: int) -> Contender:
     return run
 
 
-def measure(contenders: dict[str, Contender], repetitions: int) -> dict[str, Seconds]:
-    """The fastest of each contender's interleaved repetitions, after one warm-up."""
-    fastest: dict[str, Seconds] = {}
+def measure(contenders: dict[str, Contender], repetitions: int) -> dict[str, list[Seconds]]:
+    """The seconds of each contender's interleaved repetitions, after one warm-up."""
+    seconds: dict[str, list[Seconds]] = {name: [] for name in contenders}
     for repetition in range(repetitions + 1):
         for name, run in contenders.items():
-            seconds = run()
-            best = fastest.get(name)
-            if repetition and (best is None or seconds["whole"] < best["whole"]):
-                fastest[name] = seconds
-    return fastest
+            spent = run()
+            if repetition:
+                seconds[name].append(spent)
+    return seconds
 
 
 def report(arguments: argparse.Namespace) -> dict[str, Any]:
     """Measure, and relate each meta-training to the raw engine with as many simulations."""
     name, threads = arguments.task, arguments.num_threads
     horizon = get_task(name).horizon
-    sizes = sorted({ENGINE_ALONE, *(CONTEXTS * k for k in ROLLOUTS)})
-    contenders = {f"raw engine, {n}": raw_engine(name, n, threads) for n in sizes}
+    contenders: dict[str, Contender] = {}
     for k in ROLLOUTS:
-        contenders[f"meta-training, {CONTEXTS} x {k}"] = meta_training(name, k, threads)
-    fastest = measure(contenders, arguments.repetitions)
+        method = meta_training(name, k, threads)
+        contenders[f"meta-training, {CONTEXTS} x {k}"] = iteration(method)
+        contenders[f"raw engine, {CONTEXTS * k}"] = raw_engine(method, name, threads)
+    measured = measure(contenders, arguments.repetitions)
     rows: dict[str, dict[str, Any]] = {}
-    for n in sizes:
-        whole = fastest[f"raw engine, {n}"]["whole"]
-        rows[f"raw engine, {n}"] = {"steps_per_second": round(n * horizon / whole)}
     for k in ROLLOUTS:
-        seconds = dict(fastest[f"meta-training, {CONTEXTS} x {k}"])
-        whole, n = seconds.pop("whole"), CONTEXTS * k
-        engine = fastest[f"raw engine, {n}"]["whole"]
+        steps = CONTEXTS * k * horizon
+        engine = [spent["whole"] for spent in measured[f"raw engine, {CONTEXTS * k}"]]
+        training = measured[f"meta-training, {CONTEXTS} x {k}"]
+        whole = [spent["whole"] for spent in training]
+        pairs = zip(engine, whole, strict=True)
+        rows[f"raw engine, {CONTEXTS * k}"] = {"steps_per_second": round(steps / median(engine))}
         rows[f"meta-training, {CONTEXTS} x {k}"] = {
-            "steps_per_second": round(n * horizon / whole),
-            "ratio_to_raw_engine": round(engine / whole, 3),
-            "share_of_time": {part: round(s / whole, 3) for part, s in seconds.items()},
+            "steps_per_second": round(steps / median(whole)),
+            "ratio_to_raw_engine": round(median(e / w for e, w in pairs), 3),
+            "share_of_time": {
+                part: round(median(s[part] / s["whole"] for s in training), 3)
+                for part in training[0]
+                if part != "whole"
+            },
         }
     return {
         "task": name,
@@ -197,7 +212,7 @@ def main() -> None:
     parser.add_argument(
         "--num-threads", type=int, default=available_cpus(), help="of the simulations"
     )
-    parser.add_argument("--repetitions", type=int, default=5)
+    parser.add_argument("--repetitions", type=int, default=9)
     parser.add_argument("--output", type=pathlib.Path, help="a JSON file")
     arguments = parser.parse_args()
     # The tensors are small, and on a busy machine OpenMP's threads spin: ten times slower.

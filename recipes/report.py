@@ -59,7 +59,9 @@ def _short(commit: str) -> str:
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--results", type=Path, default=ROOT / "results", help="folder of files")
+    parser.add_argument(
+        "--results", type=Path, default=ROOT / "results/point_maze", help="folder of files"
+    )
     parser.add_argument("--write", action="store_true", help="put it into README.md")
     arguments = parser.parse_args()
     files = sorted(arguments.results.rglob("*.json"))

@@ -49,6 +49,7 @@ class DiscriminatorBatches:
         demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``.
         negatives: the policy's rollouts.
         config: of a batch.
+        encoder_gradient: whether the expert's m carries gradients to the encoder.
     """
 
     def __init__(
@@ -57,9 +58,12 @@ class DiscriminatorBatches:
         demonstrations: TensorDictBase,
         negatives: Negatives,
         config: BatchConfig,
+        *,
+        encoder_gradient: bool = True,
     ) -> None:
         self.model, self.demonstrations, self.negatives = model, demonstrations, negatives
         self.config = config
+        self.encoder_gradient = encoder_gradient
 
     def sample(self, last: int) -> TensorDict:
         """One batch, with ``is_expert``; negatives come from the ``last`` iterations."""
@@ -70,7 +74,8 @@ class DiscriminatorBatches:
         c = self.config
         index = torch.randint(self.demonstrations.batch_size[0], (c.trajectories,))
         drawn = self.demonstrations[index]
-        m = self.model.encoder.get_dist(drawn).rsample()  # [n, D]
+        with torch.set_grad_enabled(self.encoder_gradient):
+            m = self.model.encoder.get_dist(drawn).rsample()  # [n, D]
         horizon = drawn["action"].shape[1]
         rows = torch.arange(c.trajectories).unsqueeze(-1)
         times = torch.randint(horizon, (c.trajectories, c.time_steps))

@@ -87,7 +87,13 @@ class PEMIRL:
         self.env_steps = 0
         self.negatives = Negatives(config.replay_iterations)
         self._collect = EpisodeCollector(env, model.policy, model.horizon)
-        self._batches = DiscriminatorBatches(model, demonstrations, self.negatives, config.batch)
+        self._batches = DiscriminatorBatches(
+            model,
+            demonstrations,
+            self.negatives,
+            config.batch,
+            encoder_gradient=config.encoder_gradient,
+        )
         self._info_loss = InfoLoss(
             model.encoder,
             model.reward,
