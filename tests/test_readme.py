@@ -35,5 +35,5 @@ def test_tables_are_those_of_the_results_files():
 
 
 def test_pictures_and_links_exist():
-    for target in re.findall(r"\]\(((?!http)[^)]+)\)", README):
+    for target in re.findall(r"\]\(((?!http|#)[^)]+)\)", README):
         assert (ROOT / target).exists(), target

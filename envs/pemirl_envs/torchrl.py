@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
@@ -29,7 +31,10 @@ class TaskEnv(EnvBase):
 
     ``reset`` takes ``("task", name)`` from its tensordict where that has them, and draws them from
     the split otherwise. With ``_reset``, the named simulations alone are reset, and they alone take
-    given parameters. ``set_seed`` restarts the one stream from which everything random is drawn.
+    given parameters. A ``TransformedEnv`` strips a reset's tensordict of all but ``_reset``:
+    through one, say ``env.reset(task={"goal": goals})``.
+
+    ``set_seed`` restarts the one stream from which everything random is drawn.
     The simulations live in native memory, so the environment cannot be pickled: give workers a
     factory, ``functools.partial(make, ...)``.
 
@@ -113,11 +118,16 @@ class TaskEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         self.episodes.seed(seed)
 
-    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
-        mask = parameters = None
+    def _reset(
+        self,
+        tensordict: TensorDictBase | None = None,
+        task: Mapping[str, Tensor] | TensorDictBase | None = None,
+        **kwargs: object,
+    ) -> TensorDictBase:
+        mask, parameters = None, task
         if tensordict is not None:
             mask = tensordict.get("_reset", None)
-            parameters = tensordict.get("task", None)
+            parameters = tensordict.get("task", None) if task is None else task
         self.episodes.reset(
             None if mask is None else mask.view(self.batch_size),
             None if parameters is None else dict(parameters.items()),

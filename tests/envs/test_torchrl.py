@@ -1,7 +1,7 @@
 import pytest
 import torch
 from torchrl.collectors import Collector
-from torchrl.envs import StepCounter, TransformedEnv
+from torchrl.envs import RewardSum, StepCounter, TransformedEnv
 
 import pemirl_envs
 from pemirl_envs import SimulationError
@@ -137,3 +137,12 @@ def test_unknown_names_are_refused():
         make(split="dev")
     with pytest.raises(ValueError, match="num_sims >= 1"):
         make(0)
+
+
+def test_given_tasks_pass_through_a_transformed_env():
+    """It strips a reset's tensordict, but hands keywords on."""
+    goals = torch.tensor([[0.1, 0.5], [0.2, 0.5]])
+    env = TransformedEnv(pemirl_envs.make("point_maze/left", 2, seed=0), RewardSum())
+    assert torch.equal(env.reset(task={"goal": goals})["task", "goal"], goals)
+    with pytest.raises(ValueError, match="goal"):
+        env.reset(task={"goal": goals + 9.0})

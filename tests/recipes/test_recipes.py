@@ -10,6 +10,7 @@ import sys
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
+from imageio_ffmpeg import get_ffmpeg_exe
 
 from pemirl_trl.evaluation import read
 from pemirl_trl.pretrained import load_model
@@ -111,6 +112,20 @@ def test_stages_compose(smoke, recipe, monkeypatch):
     results = recipe("evaluate").evaluate(evaluated, folder(evaluated), *runs)
     assert len(results) == len(list((cwd / "evaluated/results").glob("*.json"))) == 10
     assert {r.env_steps["adaptation"] for r in results} == {0, 6000}
+
+
+@pytest.mark.skipif(
+    os.environ.get("MUJOCO_GL", "disable") == "disable", reason="no OpenGL library to render with"
+)
+def test_a_run_is_filmed(smoke, recipe, monkeypatch):
+    monkeypatch.chdir(smoke[0])
+    values = config("record_video", "run=smoke", "tasks=2", "output=film.mp4")
+    recipe("record_video").record_video(values)
+    decode = [get_ffmpeg_exe(), "-i", "film.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    film = subprocess.run(decode, capture_output=True, check=True).stdout
+    frame = len(film) // 200  # two episodes of 100 steps
+    assert len(film) == 200 * frame > 0
+    assert film[:frame] != film[99 * frame : 100 * frame]
 
 
 def test_a_folder_of_another_configuration_is_refused(smoke, recipe, monkeypatch):
