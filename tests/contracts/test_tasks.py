@@ -183,7 +183,9 @@ def test_every_split_gives_legal_tasks(name):
     task = pemirl_envs.get_task(name)
     for split in task.splits:
         parameters = task.sample_parameters(50, split, torch.Generator().manual_seed(0))
-        task.validate_parameters(parameters, 50)
+        task.validate_parameters(parameters, 50)  # raises for an illegal one
+        assert parameters.keys() == task.parameter_bounds.keys()
+        assert {len(value) for value in parameters.values()} == {50}
 
 
 def parameters_for(values, num_envs):

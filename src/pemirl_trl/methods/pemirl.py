@@ -137,7 +137,7 @@ class PEMIRL:
             theta_loss = theta_loss + c.info_coeff * info["loss_info_reward"]
             if c.gradient_penalty_coeff > 0:
                 theta_loss = theta_loss + classification["loss_gradient_penalty"]
-            descend(self._encoder_optimizer, psi_loss, retain_graph=True)
+            descend(self._encoder_optimizer, psi_loss, retain_graph=c.encoder_gradient)
             descend(self._reward_optimizer, theta_loss)
         losses = {**info, **classification}
         return {f"reward/{name}": float(value.detach()) for name, value in losses.items()}
