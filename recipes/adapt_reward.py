@@ -1,6 +1,6 @@
 """Infer r(s, m) of new tasks from one demonstration each, and train a policy on it (Algorithm 2).
 
-    python recipes/adapt_reward.py model_file=runs/meta_train/pemirl_blurred/seed0/model.safetensors
+    python recipes/adapt_reward.py model_file=runs/meta_train/pemirl_robust/seed0/model.safetensors
     python recipes/adapt_reward.py test_demonstrations=my_demonstration.safetensors
 
 Writes ``policy.safetensors`` and the learning curve to ``run_dir``. Rewards are the learned ones;
@@ -28,9 +28,31 @@ def load_test_demonstrations(config: DictConfig) -> DemonstrationDataset:
     return one_per_task(demonstrations, config.demonstrations_per_task)
 
 
-def adapt(config: DictConfig, folder: RunFolder, model: PEMIRLModel) -> ContextPolicy:
-    """Train a fresh policy on the learned reward under the test environment's dynamics."""
+def adapt(
+    config: DictConfig,
+    folder: RunFolder,
+    model: PEMIRLModel,
+    *,
+    environment_name: str | None = None,
+    stage: str = "adaptation",
+    true_reward: bool = False,
+) -> tuple[ContextPolicy, int]:
+    """Train a fresh policy on the learned reward under the test environment's dynamics.
+
+    Args:
+        config: of the run.
+        folder: of the run; the weights go to ``policy.safetensors``, or ``<stage>.safetensors`` of
+            another stage.
+        model: encoder and reward.
+        environment_name: other dynamics than the test environment's.
+        stage: names checkpoints and curve.
+        true_reward: train on the true reward instead: the oracle to compare with.
+
+    Returns:
+        The policy, and the environment steps it took.
+    """
     torch.manual_seed(config.seed)
+    name = environment_name or config.test_environment
     demonstrations = load_test_demonstrations(config)
     rollouts = config.adaptation.rollouts_per_context
     transform = InferContext(
@@ -41,13 +63,8 @@ def adapt(config: DictConfig, folder: RunFolder, model: PEMIRLModel) -> ContextP
         sample=False,
         tasks=None if demonstrations.task is None else demonstrations.tasks(),
     )
-    env = environment(
-        config.test_environment,
-        len(demonstrations) * rollouts,
-        transform,
-        seed=config.seed,
-        threads=config.threads,
-    )
+    count = len(demonstrations) * rollouts
+    env = environment(name, count, transform, seed=config.seed, threads=config.threads)
     policy = model.new_policy(config.adaptation.policy_scale, learn_scale=False)
     method = PolicyOptimization(
         env,
@@ -55,16 +72,14 @@ def adapt(config: DictConfig, folder: RunFolder, model: PEMIRLModel) -> ContextP
         model.horizon,
         typed(PolicyOptimizationConfig, config.adaptation.optimization),
         rollouts_per_context=rollouts,
-        reward=model.reward,
+        reward=None if true_reward else model.reward,
     )
-    folder.train("adaptation", method, show="return/true")
-    save_weights(
-        folder.file("policy.safetensors"),
-        {"policy": policy},
-        {"environment": config.test_environment, "env_steps": str(method.env_steps)},
-    )
-    say(f"adapted on {method.env_steps:,} environment steps -> {folder.file('policy.safetensors')}")
-    return policy
+    folder.train(stage, method, show="return/true")
+    file = folder.file("policy.safetensors" if stage == "adaptation" else f"{stage}.safetensors")
+    facts = {"environment": name, "env_steps": str(method.env_steps)}
+    save_weights(file, {"policy": policy}, facts)
+    say(f"{stage}: trained on {method.env_steps:,} environment steps -> {file}")
+    return policy, method.env_steps
 
 
 @hydra.main(config_path="conf", config_name="adapt_reward", version_base="1.3")

@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 
 import pemirl_envs
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
-from pemirl_trl.evaluation import Result, distance_to_goal, position_grid, reward_on_grid
+from pemirl_trl.evaluation import Score, distance_to_goal, position_grid, reward_on_grid
 from pemirl_trl.evaluation.figures import learning_curve, reward_maps, save_figure
 
 
@@ -47,7 +47,7 @@ def draw_reward_maps(
 
 
 def draw_learning_curve(
-    config: DictConfig, runs: Sequence[Path], results: Sequence[Result], path: Path
+    config: DictConfig, runs: Sequence[Path], scores: Sequence[Score], path: Path
 ) -> None:
     """True return over environment steps, of meta-training and of adaptation."""
     series = {}
@@ -58,8 +58,7 @@ def draw_learning_curve(
                 steps, values = zip(*json.loads(file.read_text(encoding="utf-8")), strict=True)
                 env = config.test_environment if stage == "adaptation" else config.environment
                 series[f"{stage} on {env}"] = [(steps, values)]
-    whole = [r for r in results if r.goals == "all"]
-    references = {f"expert on {r.task}/{r.variant}": r.expert for r in whole}
+    references = {f"expert on {s.variant}": s.expert for s in scores if s.goals == "all"}
     figure = learning_curve(
         series,
         references=references,

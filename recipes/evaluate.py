@@ -1,7 +1,7 @@
-"""Evaluate a meta-trained model: a table, results files, reward maps and learning curves.
+"""Evaluate a meta-trained model: a table, a results file, reward maps and learning curves.
 
     python recipes/evaluate.py                       # of the runs of meta_train.py, adapt_reward.py
-    python recipes/evaluate.py results=results/point_maze meta_run=... adaptation_run=...
+    python recipes/evaluate.py meta_run=... adaptation_run=...
 
 One-shot returns on the training dynamics; policy generalisation and reward adaptation on the
 changed ones. Each of the last policy, of the mean action, with m the mean of q(m | demonstration).
@@ -16,126 +16,111 @@ import hydra
 import torch
 from adapt_reward import load_test_demonstrations
 from config import plain
-from domains import (
-    load_expert,
-    returns_given_demonstrations,
-    returns_given_tasks,
-    returns_of_random_actions,
-)
 from drawing import draw_learning_curve, draw_reward_maps
 from omegaconf import DictConfig
 from run_folder import RunFolder, say
-from torch import Tensor
+from scoring import Scorer
 
-from pemirl_trl import ContextPolicy, DemonstrationDataset, PEMIRLModel
+from pemirl_trl import DemonstrationDataset, PEMIRLModel
 from pemirl_trl.checkpoint import load_weights, read_metadata
-from pemirl_trl.evaluation import Result, table
+from pemirl_trl.evaluation import Result, Score, environment_facts
 from pemirl_trl.pretrained import load_model
-
-GOAL_SETS = {"all": (-float("inf"), float("inf")), "x_in_0.1_0.4": (0.1, 0.4)}
-"""Which test goals, by the range of their x in metres; the second is the authors' test."""
 
 
 def evaluate(
-    config: DictConfig,
-    folder: RunFolder,
-    meta_run: Path,
-    adaptation_run: Path,
+    config: DictConfig, folder: RunFolder, meta_run: Path, adaptation_run: Path
 ) -> list[Result]:
     """Measure, write results and figures, print the table."""
     torch.manual_seed(config.seed)
     model = load_model(meta_run / "model.safetensors")
-    meta_il = load_model(meta_run / "meta_il.safetensors")
     demonstrations = load_test_demonstrations(config)
-    adapted = model.new_policy(config.adaptation.policy_scale)
-    facts = load_weights(adaptation_run / "policy.safetensors", {"policy": adapted})
-    steps = {
-        "meta_training": int(read_metadata(meta_run / "model.safetensors")["env_steps"]),
-        "adaptation": int(facts["env_steps"]),
+    curves = {
+        config.method: read_curve(meta_run, config.method),
+        "adaptation": read_curve(adaptation_run, "adaptation"),
     }
     with folder.timed("evaluation"):
-        returns = _measure(config, model, meta_il, adapted, demonstrations)
-    seconds = _seconds(meta_run) | _seconds(adaptation_run) | folder.seconds
-    results = _results(config, returns, demonstrations, steps, seconds)
-    directory = Path(config.results)
+        scores = {config.method: _scores(config, model, demonstrations, meta_run, adaptation_run)}
+        if (meta_run / "meta_il.safetensors").exists():
+            meta_il = load_model(meta_run / "meta_il.safetensors")
+            scores["meta_il"] = _transfer(config, meta_il, demonstrations, 0)
+    seconds = read_seconds(meta_run) | read_seconds(adaptation_run) | folder.seconds
+    results = [
+        Result(
+            table="quickstart",
+            row=row,
+            task=config.environment.split("/")[0],
+            seed=config.seed,
+            split="test",
+            scores=tuple(of_row),
+            curves=curves if row == config.method else {},
+            seconds=seconds,
+            config=plain(config),
+            **environment_facts(),
+        )
+        for row, of_row in scores.items()
+    ]
     for result in results:
-        name = (result.method, result.setting, result.variant, result.goals, f"seed{result.seed}")
-        result.write(directory / ("-".join(name) + ".json"))
-    say(table(results))
+        result.write(Path(config.results) / f"{result.row}.json")
+    say(_table(results))
     draw_reward_maps(config, model, demonstrations, folder.file("figures/reward_maps.png"))
     draw_learning_curve(
-        config, (meta_run, adaptation_run), results, folder.file("figures/learning_curve.png")
+        config,
+        (meta_run, adaptation_run),
+        scores[config.method],
+        folder.file("figures/learning_curve.png"),
     )
-    say(f"results -> {directory}, figures -> {folder.file('figures')}")
+    say(f"results -> {config.results}, figures -> {folder.file('figures')}")
     return results
 
 
-def _measure(
+def _transfer(
+    config: DictConfig, model: PEMIRLModel, demonstrations: DemonstrationDataset, steps: int
+) -> list[Score]:
+    """The meta-trained policy, where it was trained and where the dynamics have changed."""
+    scorer = Scorer(config, demonstrations)
+    used = {"meta_training": steps, "adaptation": 0}
+    where = (("one_shot", config.environment), ("policy_generalisation", config.test_environment))
+    return [
+        s for setting, env in where for s in scorer.scores(setting, env, model, model.policy, used)
+    ]
+
+
+def _scores(
     config: DictConfig,
     model: PEMIRLModel,
-    meta_il: PEMIRLModel,
-    adapted: ContextPolicy,
     demonstrations: DemonstrationDataset,
-) -> dict[tuple[str, str, str], Tensor]:
-    """True returns ``[tasks]`` by (environment, method, setting); baselines have no setting."""
-    train, test = config.environment, config.test_environment
-    returns: dict[tuple[str, str, str], Tensor] = {}
-    for env in dict.fromkeys((train, test)):
-        expert = load_expert(config.experts[env.split("/")[1]])
-        returns[env, "expert", ""] = returns_given_tasks(
-            env, expert, demonstrations.tasks(), config
-        )
-        returns[env, "random", ""] = returns_of_random_actions(env, demonstrations.tasks(), config)
-    for name, networks in (("meta_il", meta_il), (config.method, model)):
-        for env, setting in ((train, "one_shot"), (test, "policy_generalisation")):
-            returns[env, name, setting] = returns_given_demonstrations(
-                env, networks, networks.policy, demonstrations, config
-            )
-    returns[test, config.method, "reward_adaptation"] = returns_given_demonstrations(
-        test, model, adapted, demonstrations, config
+    meta_run: Path,
+    adaptation_run: Path,
+) -> list[Score]:
+    adapted = model.new_policy()
+    facts = load_weights(adaptation_run / "policy.safetensors", {"policy": adapted})
+    steps = int(read_metadata(meta_run / "model.safetensors")["env_steps"])
+    used = {"meta_training": steps, "adaptation": int(facts["env_steps"])}
+    return _transfer(config, model, demonstrations, steps) + Scorer(config, demonstrations).scores(
+        "reward_adaptation", config.test_environment, model, adapted, used
     )
-    return returns
 
 
-def _results(
-    config: DictConfig,
-    returns: dict[tuple[str, str, str], Tensor],
-    demonstrations: DemonstrationDataset,
-    steps: dict[str, int],
-    seconds: dict[str, float],
-) -> list[Result]:
-    x = demonstrations.tasks()["goal"][:, 0]
-    results = []
-    for (env, method, setting), per_task in returns.items():
-        if not setting:
-            continue
-        task, variant = env.split("/")
-        for goals, (low, high) in GOAL_SETS.items():
-            chosen = (x >= low) & (x <= high)
-            used = {
-                "meta_training": 0 if method == "meta_il" else steps["meta_training"],
-                "adaptation": steps["adaptation"] if setting == "reward_adaptation" else 0,
-            }
-            results.append(
-                Result.measured(
-                    task=task,
-                    variant=variant,
-                    method=method,
-                    setting=setting,
-                    seed=config.seed,
-                    goals=goals,
-                    per_task=per_task[chosen].tolist(),
-                    random=float(returns[env, "random", ""][chosen].mean()),
-                    expert=float(returns[env, "expert", ""][chosen].mean()),
-                    env_steps=used,
-                    seconds=seconds,
-                    config=plain(config),
-                )
+def _table(results: list[Result]) -> str:
+    lines = [f"{'':16}{'setting':24}{'goals':14}{'return':>8}{'normalised':>12}{'expert':>8}"]
+    for result in results:
+        for s in result.scores:
+            where = f"{s.setting} {s.variant}"
+            lines.append(
+                f"{result.row:16}{where:24}{s.goals:14}{s.mean:8.2f}{s.normalised:12.3f}"
+                f"{s.expert:8.2f}"
             )
-    return results
+    return "\n".join(lines)
 
 
-def _seconds(run: Path) -> dict[str, float]:
+def read_curve(run: Path, stage: str) -> list[list[float]]:
+    """The learning curve of a stage; empty if the run has none."""
+    file = run / "curves" / f"{stage}.json"
+    return json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
+
+
+def read_seconds(run: Path) -> dict[str, float]:
+    """Wall-clock seconds of a run's stages."""
     file = run / "seconds.json"
     return json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
 

@@ -2,77 +2,82 @@
 
     python recipes/meta_train.py
     python recipes/meta_train.py method=pemirl seed=1
-    python recipes/meta_train.py pemirl.info_coeff=0 model.context_dim=5 run_dir=runs/no_info
+    python recipes/meta_train.py method=airl
+    python recipes/meta_train.py training.info_coeff=0 model.context_dim=5 run_dir=runs/no_info
 
-Writes ``model.safetensors`` (PEMIRL) and ``meta_il.safetensors`` (the baseline that initialised its
-encoder) to ``run_dir``.
+Writes ``model.safetensors`` and, where the method starts from it, ``meta_il.safetensors`` (Meta-IL:
+a baseline, and what initialises the encoder) to ``run_dir``.
 """
 
 from __future__ import annotations
 
+import dataclasses
+
 import hydra
 import torch
 from config import typed
-from domains import data_file, environment
+from domains import data_file
+from methods import build
 from omegaconf import DictConfig
 from run_folder import RunFolder, say
 
-from pemirl_trl import DemonstrationDataset, InferContext, ModelConfig, PEMIRLModel, Standardize
-from pemirl_trl.methods import (
-    PEMIRL,
-    MetaIL,
-    MetaILConfig,
-    PEMIRLConfig,
-)
+from pemirl_trl import DemonstrationDataset, ModelConfig, PEMIRLModel, Standardize
+from pemirl_trl.methods import MetaIL, MetaILConfig
 from pemirl_trl.pretrained import save_model
 
 
-def meta_train(config: DictConfig, folder: RunFolder) -> PEMIRLModel:
-    """Meta-IL, then PEMIRL with its encoder and a fresh policy."""
-    torch.manual_seed(config.seed)
-    demonstrations = DemonstrationDataset.load(data_file(config.demonstrations))
-    model = PEMIRLModel(
+def load_demonstrations(config: DictConfig) -> DemonstrationDataset:
+    """The unlabelled pile."""
+    return DemonstrationDataset.load(data_file(config.demonstrations))
+
+
+def new_model(
+    config: DictConfig, demonstrations: DemonstrationDataset, **sizes: object
+) -> PEMIRLModel:
+    """An untrained model of the configured sizes, less what ``sizes`` replaces."""
+    return PEMIRLModel(
         demonstrations.observation_dim,
         demonstrations.action_dim,
         demonstrations.horizon,
-        typed(ModelConfig, config.model),
+        dataclasses.replace(typed(ModelConfig, config.model), **sizes),  # type: ignore[arg-type]
         Standardize.fit(demonstrations.trajectories()["observation"]),
     )
-    trajectories = demonstrations.trajectories()
-    folder.train(
-        "meta-il",
-        MetaIL(model, trajectories, typed(MetaILConfig, config.meta_il)),
-        show="meta_il/loss_imitation",
-    )
+
+
+def train_meta_il(config: DictConfig, folder: RunFolder) -> PEMIRLModel:
+    """Meta-IL's encoder and policy, to ``meta_il.safetensors``."""
+    torch.manual_seed(config.seed)
+    demonstrations = load_demonstrations(config)
+    model = new_model(config, demonstrations, reward="shaped")  # it has no use for the reward
+    method = MetaIL(model, demonstrations.trajectories(), typed(MetaILConfig, config.meta_il))
+    folder.train("meta-il", method, show="meta_il/loss_imitation")
     save_model(folder.file("meta_il.safetensors"), model)
-    model.policy = model.new_policy(learn_scale=False)
-    method = _pemirl(config, model, demonstrations)
+    return model
+
+
+def meta_train(
+    config: DictConfig, folder: RunFolder, meta_il: PEMIRLModel | None = None
+) -> PEMIRLModel:
+    """Meta-IL, where the method starts from it and it is not given; then the method."""
+    if meta_il is None and config.meta_il is not None:
+        meta_il = train_meta_il(config, folder)
+    torch.manual_seed(config.seed)
+    demonstrations = load_demonstrations(config)
+    model = new_model(config, demonstrations)
+    if meta_il is not None:
+        model.encoder.load_state_dict(meta_il.encoder.state_dict())
+    if config.initial_policy == "meta_il":
+        if meta_il is None:
+            raise ValueError("initial_policy=meta_il needs Meta-IL; got meta_il=null")
+        model.policy.load_state_dict(meta_il.policy.state_dict())
+    model.policy.log_scale.requires_grad_(config.learn_policy_scale)
+    method = build(config, model, demonstrations)
     folder.train(config.method, method, show="return/true")
     facts = {"method": config.method, "env_steps": str(method.env_steps)}
     file = folder.file("model.safetensors")
     save_model(file, model, facts)
     say(f"meta-trained on {method.env_steps:,} environment steps -> {file}")
     return model
-
-
-def _pemirl(config: DictConfig, model: PEMIRLModel, demonstrations: DemonstrationDataset) -> PEMIRL:
-    settings = typed(PEMIRLConfig, config.pemirl)
-    trajectories = demonstrations.trajectories()
-    transform = InferContext(
-        model.encoder,
-        trajectories,
-        rollouts_per_context=settings.rollouts_per_context,
-        # The environment is reset to the demonstrated task, so that its reward is a metric.
-        tasks=None if demonstrations.task is None else demonstrations.tasks(),
-    )
-    env = environment(
-        config.environment,
-        config.contexts_per_batch * settings.rollouts_per_context,
-        transform,
-        seed=config.seed,
-        threads=config.threads,
-    )
-    return PEMIRL(model, env, trajectories, settings)
 
 
 @hydra.main(config_path="conf", config_name="meta_train", version_base="1.3")

@@ -1,80 +1,283 @@
-"""The tables of the README, from the results files.
+"""The generated parts of the pages, from the results files and ``pages.yaml``.
 
-python recipes/report.py                  # print
-python recipes/report.py --write          # and put it between the README's markers
+    python recipes/report.py            # print them
+    python recipes/report.py --write    # put them between the pages' markers, and draw the figures
+    python recipes/report.py --check    # fail if a page is not what the results files give
+
+A part named ``headline`` stands between ``<!-- headline:begin -->`` and ``<!-- headline:end -->``;
+what is around the markers is written by hand. What a part shows is data: see ``pages.yaml``.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import re
 import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import filter as fnfilter
+from functools import partial
 from pathlib import Path
+from typing import Any
+
+from config import plain, typed
+from matplotlib.figure import Figure
+from omegaconf import OmegaConf
 
 from pemirl_trl.checkpoint import atomic_path
-from pemirl_trl.evaluation import Result, read, table
+from pemirl_trl.evaluation import Result, read_all
+from pemirl_trl.evaluation.comparison import interval_plot, stage_curves
+from pemirl_trl.evaluation.convergence import Stage, convergence_table
+from pemirl_trl.evaluation.figures import save_figure
+from pemirl_trl.evaluation.tables import (
+    Column,
+    by_seed,
+    cost_table,
+    improvement_table,
+    provenance,
+    returns_table,
+    reward_table,
+    scores_of,
+    seeds_table,
+)
 
 ROOT = Path(__file__).resolve().parent.parent
-BEGIN, END = "<!-- results:begin -->", "<!-- results:end -->"
-
-PAPER = """\
-| paper (Yu et al., 2019) | random | expert | Meta-IL | PEMIRL |
-| --- | --- | --- | --- | --- |
-| one-shot, left | -51.39 | -5.21 | -6.68 (0.968) | -7.37 (0.953) |
-| policy generalisation, right | – | -5.37 | -28.61 | -28.93 |
-| reward adaptation, right, goals with x in [0.1, 0.4] | – | -5.37 | – | -9.04 |
-"""
-"""Tables 1 and 2 of the paper, for Point-Maze."""
+Rows = Mapping[str, str]
+Drawing = partial[Figure]
+"""A figure that is drawn when it is called: only ``--write`` needs it."""
 
 
-def report(results: list[Result]) -> str:
-    """Markdown: our table, its facts, and the paper's numbers."""
-    seeds = sorted({result.seed for result in results})
-    one = results[0]
-    steps = {
-        (result.method, name): count
-        for result in results
-        for name, count in result.env_steps.items()
-        if count
-    }
-    spent = "; ".join(
-        f"{method} {count / 1e6:.1f}M of {name.replace('_', '-')}"
-        for (method, name), count in sorted(steps.items())
-    )
-    commits = sorted({_short(result.commit) for result in results})
-    return (
-        "True returns of the last policy over unseen tasks, one demonstration each, "
-        f"seeds {', '.join(map(str, seeds))}: mean (normalised) [every seed].\n\n"
-        f"{table(results)}\n"
-        f"Environment steps: {spent}. {one.hardware['cpus']} CPUs ({one.hardware['cpu']}), torch "
-        f"{one.versions['torch']}, TorchRL {one.versions['torchrl']}, MuJoCo "
-        f"{one.versions['mujoco']}, commit {', '.join(commits)}.\n\n"
-        f"{PAPER}"
-    )
+@dataclass(frozen=True)
+class Item:
+    """A table or a figure of a part.
+
+    Args:
+        kind: a key of :data:`KINDS`.
+        table: the folder below ``results`` that it shows.
+        rows: names or patterns such as ``context_*``, which stand for all that match, sorted.
+        caption: above it; of a figure, its description.
+        options: arguments of the kind's function.
+    """
+
+    kind: str
+    table: str
+    rows: Sequence[str] = ()
+    caption: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _short(commit: str) -> str:
-    return commit[:12] + ("-dirty" if commit.endswith("-dirty") else "")
+@dataclass
+class Pages:
+    """Generated text by page and part, and figures by file."""
+
+    parts: dict[str, dict[str, str]] = field(default_factory=dict)
+    figures: dict[str, Drawing] = field(default_factory=dict)
+
+
+# --- kinds -------------------------------------------------------------------------------------
+
+
+def _convergence(
+    results: Sequence[Result],
+    rows: Rows,
+    *,
+    stages: Mapping[str, str],
+    variant: str,
+    fraction: float = 0.95,
+    paper: Mapping[str, float] | None = None,
+) -> str:
+    chosen = [
+        Stage(row=row, stage=stage, variant=variant, label=rows[row], paper=(paper or {}).get(row))
+        for row, stage in stages.items()
+    ]
+    return convergence_table(results, chosen, fraction)
+
+
+def _curves(
+    results: Sequence[Result],
+    rows: Rows,
+    *,
+    stages: Mapping[str, str],
+    variant: str,
+    title: str = "",
+) -> Drawing | None:
+    if not any(result.curves.get(stages.get(result.row, "")) for result in results):
+        return None
+    scores = [s for r in results for s in r.scores if (s.variant, s.goals) == (variant, "all")]
+    references = {"expert": scores[0].expert, "random": scores[0].random} if scores else {}
+    chosen = {rows[row]: (row, stage) for row, stage in stages.items()}
+    return partial(stage_curves, results, chosen, references=references, title=title)
+
+
+def _intervals(
+    results: Sequence[Result], rows: Rows, *, column: Column, title: str = ""
+) -> Drawing | None:
+    if not any(scores_of(results, row, column) for row in rows):
+        return None
+    return partial(interval_plot, results, column, rows, title=title)
+
+
+KINDS: Mapping[str, Callable[..., str | Drawing | None]] = {
+    "returns": returns_table,
+    "seeds": seeds_table,
+    "improvement": improvement_table,
+    "reward": reward_table,
+    "cost": cost_table,
+    "convergence": _convergence,
+    "curves": _curves,
+    "intervals": _intervals,
+    "provenance": provenance,
+}
+"""What an item may be: functions of results, ``rows`` and the item's options, which give nothing
+where there are no results. A figure's options have its ``file`` besides."""
+
+
+# --- pages -------------------------------------------------------------------------------------
+
+
+def generate(root: Path) -> Pages:
+    """Everything that ``recipes/pages.yaml`` asks for, from the files below ``results``.
+
+    Raises:
+        ValueError: a wrong specification or result; says where.
+    """
+    values = plain(OmegaConf.load(root / "recipes/pages.yaml"))  # type: ignore[arg-type]
+    pages, labels = Pages(), values["labels"]
+    tables = {name: _read_table(root, name) for name in values["tables"]}
+    for page, parts in values["pages"].items():
+        pages.parts[page] = {}
+        for part, items in parts.items():
+            try:
+                pages.parts[page][part] = _part(items, tables, labels, page, pages.figures)
+            except (ValueError, TypeError) as error:
+                raise ValueError(f"{page}, part {part!r}: {error}") from error
+    return pages
+
+
+def _read_table(root: Path, table: str) -> list[Result]:
+    results = read_all(root / "results" / table)
+    if any(result.table != table for result in results):
+        tables = sorted({result.table for result in results})
+        raise ValueError(f"results/{table} holds results of tables {tables}; expected {table!r}")
+    return results
+
+
+def _part(
+    items: Sequence[Mapping[str, Any]],
+    tables: Mapping[str, Sequence[Result]],
+    labels: Mapping[str, str],
+    page: str,
+    figures: dict[str, Drawing],
+) -> str:
+    """The text of a part: its items, and which of their rows and columns have no results."""
+    texts: list[str] = []
+    absent: dict[str, None] = {}
+    for item in (typed(Item, value) for value in items):
+        _check(item, tables)
+        results, options = tables[item.table], _options(item)
+        names = _expand(item.rows or list(options.get("stages", ())), results)
+        rows = {name: labels.get(name, name) for name in names}
+        absent |= {label: None for name, label in rows.items() if not by_seed(results, name)}
+        absent |= dict.fromkeys(_unmeasured(results, rows, options.get("columns", ())))
+        file = options.pop("file", "")
+        made = KINDS[item.kind](results, rows=rows, **options)
+        if isinstance(made, partial):
+            figures[file] = made
+            texts.append(f"![{item.caption}]({os.path.relpath(file, Path(page).parent)})\n")
+        elif made:
+            texts.append("\n\n".join(text for text in (item.caption, made) if text))
+        elif item.caption:
+            texts.append(f"No results yet: {item.caption}\n")
+    if absent:
+        texts.append(f"No results yet: {'; '.join(absent)}.\n")
+    return "\n".join(texts)
+
+
+def _unmeasured(results: Sequence[Result], rows: Rows, columns: Sequence[Column]) -> list[str]:
+    """Headings of the columns in which none of the rows that have results has a score."""
+    found = {c.heading: any(scores_of(results, row, c) for row in rows) for c in columns}
+    ran = any(by_seed(results, row) for row in rows)
+    return [heading for heading, measured in found.items() if ran and not measured]
+
+
+def _check(item: Item, tables: Mapping[str, Any]) -> None:
+    for name, legal in (("kind", KINDS), ("table", tables)):
+        if getattr(item, name) not in legal:
+            got = getattr(item, name)
+            raise ValueError(f"{name} is {got!r}, expected one of {', '.join(legal)}")
+
+
+def _options(item: Item) -> dict[str, Any]:
+    options = dict(item.options)
+    if "column" in options:
+        options["column"] = typed(Column, options["column"])
+    if "columns" in options:
+        options["columns"] = [typed(Column, column) for column in options["columns"]]
+    return options
+
+
+def _expand(patterns: Sequence[str], results: Sequence[Result]) -> list[str]:
+    names = sorted({result.row for result in results})
+    rows: dict[str, None] = {}
+    for pattern in patterns:
+        wild = any(character in pattern for character in "*?[")
+        rows |= dict.fromkeys(fnfilter(names, pattern) if wild else [pattern])
+    return list(rows)
+
+
+def insert(text: str, parts: Mapping[str, str], page: str) -> str:
+    """Put each part between its markers.
+
+    Raises:
+        ValueError: the page's pairs of markers are not those of the parts, each once.
+    """
+    pattern = re.compile(r"(<!-- (\w+):begin -->\n).*?(<!-- \2:end -->)", re.DOTALL)
+    found = [match[2] for match in pattern.finditer(text)]
+    if sorted(found) != sorted(parts):
+        raise ValueError(f"{page} has markers of {found}; expected, each once, {list(parts)}")
+    return pattern.sub(lambda match: match[1] + parts[match[2]] + match[3], text)
+
+
+def stale(root: Path, pages: Pages) -> list[str]:
+    """What does not agree with the results files: pages, and figures that are missing."""
+    wrong = [f"{file} is missing" for file in pages.figures if not (root / file).exists()]
+    for page, parts in pages.parts.items():
+        text = (root / page).read_text(encoding="utf-8")
+        if insert(text, parts, page) != text:
+            wrong.append(f"{page} is not what the results files give")
+    return wrong
+
+
+def write(root: Path, pages: Pages) -> None:
+    """Write parts into their pages, and the figures."""
+    for page, parts in pages.parts.items():
+        text = insert((root / page).read_text(encoding="utf-8"), parts, page)
+        with atomic_path(root / page) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    for file, draw in pages.figures.items():
+        save_figure(draw(), root / file)
 
 
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--results", type=Path, default=ROOT / "results/point_maze", help="folder of files"
-    )
-    parser.add_argument("--write", action="store_true", help="put it into README.md")
+    parser.add_argument("--root", type=Path, default=ROOT, help="of the repository")
+    action = parser.add_mutually_exclusive_group()
+    action.add_argument("--write", action="store_true", help="into the pages, and draw figures")
+    action.add_argument("--check", action="store_true", help="fail if a page is out of date")
     arguments = parser.parse_args()
-    files = sorted(arguments.results.rglob("*.json"))
-    if not files:
-        sys.exit(f"no results below {arguments.results}; recipes/quickstart.py writes some")
-    text = report([read(file) for file in files])
-    sys.stdout.write(text)
+    pages = generate(arguments.root)
     if arguments.write:
-        readme = ROOT / "README.md"
-        page = readme.read_text(encoding="utf-8")
-        before, after = page.split(BEGIN)[0], page.split(END)[1]
-        with atomic_path(readme) as temporary:
-            temporary.write_text(f"{before}{BEGIN}\n{text}{END}{after}", encoding="utf-8")
+        write(arguments.root, pages)
+    elif arguments.check:
+        wrong = stale(arguments.root, pages)
+        if wrong:
+            sys.exit("\n".join([*wrong, "python recipes/report.py --write mends that"]))
+    else:
+        for page, parts in pages.parts.items():
+            for part, text in parts.items():
+                sys.stdout.write(f"--- {page}: {part}\n{text}\n")
 
 
 if __name__ == "__main__":

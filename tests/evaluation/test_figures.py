@@ -5,7 +5,12 @@ import sys
 import numpy as np
 import pytest
 
-from pemirl_trl.evaluation.figures import learning_curve, reward_maps, save_figure
+from pemirl_trl.evaluation.figures import (
+    learning_curve,
+    reward_maps,
+    reward_scatter,
+    save_figure,
+)
 
 EXTENT = ((-0.1, 0.5), (0.0, 0.3))
 GOALS = np.array([[0.0, 0.2], [0.4, 0.1]])
@@ -50,9 +55,41 @@ def test_maps_goals_starts_and_barriers_are_where_they_belong():
     assert [axes.get_title() for axes in panels] == ["a", "b", "", ""]
 
 
+def test_shaped_maps_stand_between_learned_and_true_ones():
+    figure = reward_maps(maps(), -maps(), EXTENT, GOALS, shaped=2 * maps())
+    panels = figure.axes[:6]
+    assert [a.get_ylabel() for a in panels[::2]] == [
+        "learned reward",
+        "shaped reward",
+        "true reward",
+    ]
+    for row, factor in enumerate((1, 2, -1)):
+        for column in range(2):
+            image = panels[2 * row + column].images[0].get_array()
+            assert np.array_equal(image, factor * maps()[column])
+
+
+def test_scatter_has_a_panel_per_coverage_and_a_colour_per_task():
+    true = {"random": np.arange(6.0).reshape(2, 3), "expert": np.zeros((2, 5))}
+    learned = {name: values - 1 for name, values in true.items()}
+    figure = reward_scatter(learned, true, ["a", "b"])
+    assert [axes.get_title() for axes in figure.axes] == ["random", "expert"]
+    first, second = figure.axes[0].lines
+    assert first.get_color() != second.get_color()
+    assert np.array_equal(second.get_xydata(), [[3, 2], [4, 3], [5, 4]])
+
+
+def test_scatter_refuses_what_does_not_agree():
+    points = {"random": np.zeros((2, 3))}
+    for learned, true, titles in ((points, {}, "ab"), (points, points, "a"), ({}, {}, "")):
+        with pytest.raises(ValueError, match=r"expected pairs of \["):
+            reward_scatter(learned, true, titles)
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
+        {"shaped": maps()[:1]},
         {"learned": maps()[:1]},
         {"true": maps()[0]},
         {"titles": ["a"]},

@@ -3,7 +3,11 @@
 import pytest
 import torch
 
-from pemirl_trl.functional import info_encoder_loss, info_reward_loss
+from pemirl_trl.functional import (
+    info_encoder_loss,
+    info_reward_loss,
+    normalized_within_context,
+)
 
 pytestmark = pytest.mark.usefixtures("float64")
 
@@ -29,6 +33,19 @@ def test_normalisation_by_hand():
     assert torch.isclose(loss, torch.tensor(1.75) / 5.0**0.5)
 
 
+def test_log_q_is_centred_by_context_and_scaled_over_the_batch():
+    result = normalized_within_context(LOG_Q)
+    expected = torch.tensor([[-2.0, -1.0, 3.0], [-1.0, -1.0, 2.0]]) / 5.0**0.5
+    assert torch.allclose(result, expected)
+    assert torch.allclose(normalized_within_context(1e3 * LOG_Q - 4e4), expected)
+
+
+def test_equal_log_q_say_nothing():
+    constant = torch.tensor([[3.0], [-8.0]]).expand(2, 3)
+    assert torch.equal(normalized_within_context(constant), torch.zeros(2, 3))
+    assert info_reward_loss(constant, RETURNS, normalize=True) == 0
+
+
 def test_a_constant_added_to_a_context_changes_nothing():
     offset = torch.tensor([[100.0], [-7.0]])
     loss = info_reward_loss(LOG_Q, RETURNS)
@@ -43,6 +60,8 @@ def test_the_encoder_loss_is_a_mean_log_likelihood():
 def test_errors_name_the_problem():
     with pytest.raises(ValueError, match=r"at least 2 rollouts per context, got 1"):
         info_reward_loss(LOG_Q[:, :1], RETURNS[:, :1])
+    with pytest.raises(ValueError, match=r"at least 2 rollouts per context, got 1"):
+        normalized_within_context(LOG_Q[:, :1])
     with pytest.raises(ValueError, match=r"\[contexts, rollouts\], got \(2, 3\) and \(6,\)"):
         info_reward_loss(LOG_Q, RETURNS.flatten())
     with pytest.raises(ValueError, match=r"got \(6,\) and \(6,\)"):

@@ -25,7 +25,7 @@ def meta_trained(problem, seed):
         iterations=40,
         info_contexts=10,
         batch=BatchConfig(trajectories=100, time_steps=5),
-        trpo=TRPOConfig(max_kl=0.05),
+        policy=PolicyConfig(trpo=TRPOConfig(max_kl=0.05)),
     )
     train(method)
     return model

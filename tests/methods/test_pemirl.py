@@ -8,7 +8,7 @@ import torch
 from torch.distributions import Independent, Normal
 
 from pemirl_trl.data import DemonstrationDataset
-from pemirl_trl.methods import MetaIL, MetaILConfig, PEMIRLConfig
+from pemirl_trl.methods import MetaIL, MetaILConfig, PolicyConfig, TRPOConfig
 
 NETWORKS = ("encoder", "reward", "policy")
 
@@ -100,7 +100,7 @@ def test_the_seed_decides_everything(reach, differences):
     [
         ("encoder", {"encoder_lr": 0.0, "encoder_gradient": True}),
         ("reward", {"reward_lr": 0.0, "gradient_penalty_coeff": 1.0}),
-        ("policy", {"trpo": replace(PEMIRLConfig().trpo, max_kl=1e-30)}),
+        ("policy", {"policy": PolicyConfig(trpo=TRPOConfig(max_kl=1e-30))}),
     ],
 )
 def test_each_network_has_one_optimiser(frozen, config, reach):
@@ -159,7 +159,7 @@ def test_the_policy_takes_its_steps_on_point_maze(maze):
     accepted = [m["trpo/accepted"] for m in metrics]
     assert sum(accepted) >= 8
     for m in metrics:
-        assert 0.0 <= m["trpo/kl"] <= method.config.trpo.max_kl
+        assert 0.0 <= m["trpo/kl"] <= method.config.policy.trpo.max_kl
         assert m["trpo/improvement"] > 0.0 or not m["trpo/accepted"]
 
 
@@ -189,10 +189,10 @@ def test_negatives_keep_the_context_and_the_density_of_their_collection(reach):
 
 
 def test_the_imitation_loss_shows_each_demonstration_its_own_context(reach):
-    method = reach.pemirl(contexts=3, imitation_coeff=0.5)
+    method = reach.pemirl(contexts=3, policy=PolicyConfig(imitation_coeff=0.5))
     torch.manual_seed(0)
     rollouts = method._collect()
-    loss = method._imitation_loss(rollouts)()
+    loss = method._improve_policy.imitation_loss(rollouts)()
     expected = []
     for row in range(0, 6, 2):
         demonstration = reach.demonstrations[int(rollouts["demonstration"][row, 0])]
@@ -202,4 +202,5 @@ def test_the_imitation_loss_shows_each_demonstration_its_own_context(reach):
         )
         expected.append(Normal(loc, policy.log_scale.exp()).log_prob(demonstration["action"]))
     torch.testing.assert_close(loss, -0.5 * torch.stack(expected).sum(-1).mean())
-    assert reach.pemirl(imitation_coeff=0.0)._imitation_loss(rollouts) is None
+    off = reach.pemirl(policy=PolicyConfig(imitation_coeff=0.0))
+    assert off._improve_policy.imitation_loss(rollouts) is None

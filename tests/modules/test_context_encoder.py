@@ -6,7 +6,13 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from pemirl_trl.modules import ContextEncoder, MaskedContextEncoder
+from pemirl_trl.modules import (
+    ContextEncoder,
+    ContextPolicy,
+    MaskedContextEncoder,
+    NoContext,
+    ShapedReward,
+)
 
 N, T, S, A, D = 5, 6, 3, 2, 2
 
@@ -134,3 +140,25 @@ def test_a_trajectory_without_a_valid_step_is_refused():
     batch["mask"][2] = False
     with pytest.raises(ValueError, match="no valid step"):
         MaskedContextEncoder(S, A, D).get_dist(batch)
+
+
+def test_no_context_is_certain_and_has_nothing_to_learn():
+    encoder, batch = NoContext(), trajectories()
+    q = encoder.get_dist(batch)
+    assert (q.batch_shape, q.event_shape) == ((N,), (0,))
+    assert q.rsample().shape == q.mean.shape == (N, 0)
+    assert torch.equal(q.log_prob(q.rsample()), torch.zeros(N))
+    assert encoder(batch)["context"].shape == (N, 0)
+    assert encoder.context_dim == 0
+    assert list(encoder.parameters()) == []
+
+
+def test_policy_and_reward_without_context_are_functions_of_the_state(float64):
+    batch = TensorDict({"observation": torch.randn(N, T, S)}, [N, T])
+    batch["next"] = TensorDict({"observation": torch.randn(N, T, S)}, [N, T])
+    batch["context"] = NoContext().get_dist(batch).mean.unsqueeze(1).expand(N, T, 0)
+    policy, reward = ContextPolicy(S, A, 0), ShapedReward(S, 0, gamma=0.5)
+    assert torch.equal(policy.get_dist(batch).mean, policy.gaussian.net(batch["observation"]))
+    s, following = batch["observation"], batch["next", "observation"]
+    shaping = 0.5 * reward.potential_net(following) - reward.potential_net(s)
+    assert torch.allclose(reward(batch)["shaped_reward"], reward.reward_net(s) + shaping)

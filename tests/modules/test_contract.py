@@ -13,9 +13,9 @@ from pemirl_trl.modules import (
     ContextEncoder,
     ContextPolicy,
     ContextValue,
+    GAILDiscriminator,
     MaskedContextEncoder,
-    ModelConfig,
-    PEMIRLModel,
+    NoContext,
     ShapedReward,
     Standardize,
 )
@@ -30,6 +30,7 @@ BUILD = {
     "masked_encoder": lambda s: MaskedContextEncoder(S, A, D, standardize=s),
     "reward": lambda s: ShapedReward(S, D, standardize=s),
     "discriminator": lambda s: AIRLDiscriminator(ShapedReward(S, D, standardize=s)),
+    "gail_discriminator": lambda s: GAILDiscriminator(S, A, standardize=s),
     "policy": lambda s: ContextPolicy(S, A, D, standardize=s),
     "value": lambda s: ContextValue(S, D, T, standardize=s),
 }
@@ -40,6 +41,7 @@ OUTPUTS = {
     "masked_encoder": ("context_loc", "context_scale"),
     "reward": ("learned_reward", "shaped_reward"),
     "discriminator": ("logit_expert",),
+    "gail_discriminator": ("logit_expert",),
     "policy": ("loc", "scale"),
     "value": ("state_value",),
 }
@@ -72,7 +74,8 @@ def build(name):
 def test_the_table_lists_every_module():
     exported = {getattr(modules, name) for name in modules.__all__}
     networks = {c for c in exported if issubclass(c, TensorDictModuleBase)}
-    assert networks == {type(build(name)) for name in BUILD}
+    # NoContext has no weights, and nothing to map: see test_context_encoder.py.
+    assert networks == {type(build(name)) for name in BUILD} | {NoContext}
 
 
 @each_module
@@ -131,25 +134,3 @@ def test_a_missing_input_is_named(name):
     module = build(name)
     with pytest.raises(KeyError, match="observation"):
         module(batch().exclude("observation", ("next", "observation")))
-
-
-def test_a_model_shares_one_map_and_makes_policies_of_its_sizes():
-    standardize = Standardize(torch.randn(S), torch.rand(S) + 0.5)
-    model = PEMIRLModel(S, A, T, ModelConfig(context_dim=D), standardize)
-    maps = {m for m in model.modules() if isinstance(m, Standardize)}
-    assert maps == {standardize}
-    fresh = model.new_policy()
-    inputs = batch()
-    assert not torch.equal(fresh(inputs.copy())["loc"], model.policy(inputs.copy())["loc"])
-    fresh.load_state_dict(model.policy.state_dict())
-    assert torch.equal(fresh(inputs.copy())["loc"], model.policy(inputs.copy())["loc"])
-
-
-def test_a_model_is_rebuilt_from_its_numbers_and_state():
-    source, target = (PEMIRLModel(S, A, T, ModelConfig(context_dim=D)) for _ in range(2))
-    target.load_state_dict(source.state_dict())
-    inputs = batch()
-    for name in ("encoder", "reward", "policy"):
-        pairs = (outputs(getattr(m, name), name, inputs) for m in (source, target))
-        for got, value in zip(*pairs, strict=True):
-            assert torch.equal(got, value)

@@ -10,6 +10,7 @@ from pemirl_trl.modules import (
     ContextEncoder,
     ContextPolicy,
     ContextValue,
+    GAILDiscriminator,
     ShapedReward,
     Standardize,
 )
@@ -26,6 +27,7 @@ def networks():
         encoder=ContextEncoder(S, A, D, T, hidden=(8,), standardize=standardize),
         reward=reward,
         discriminator=AIRLDiscriminator(reward),
+        gail=GAILDiscriminator(S, A, hidden=(8,), standardize=standardize),
         policy=ContextPolicy(S, A, D, hidden=(8,), standardize=standardize),
         value=ContextValue(S, D, T, hidden=(8,), standardize=standardize),
     )

@@ -14,6 +14,7 @@ from .problems import K, networks, rollouts
 
 BUILD = {
     "discriminator": lambda n: DiscriminatorLoss(n.discriminator, gradient_penalty_coeff=0.1),
+    "gail": lambda n: DiscriminatorLoss(n.gail, gradient_penalty_coeff=0.1),
     "info": lambda n: InfoLoss(n.encoder, n.reward, rollouts_per_context=K),
     "meta_il": lambda n: MetaILLoss(n.encoder, n.policy),
     "trpo": lambda n: TRPOLoss(n.policy, entropy_coeff=0.1),
@@ -23,6 +24,8 @@ BUILD = {
 TRAINS = {
     ("discriminator", "loss_discriminator"): {"reward"},
     ("discriminator", "loss_gradient_penalty"): {"reward"},
+    ("gail", "loss_discriminator"): {"gail"},
+    ("gail", "loss_gradient_penalty"): {"gail"},
     ("info", "loss_info_encoder"): {"encoder"},
     ("info", "loss_info_reward"): {"reward"},
     ("meta_il", "loss_imitation"): {"encoder", "policy"},
@@ -31,13 +34,17 @@ TRAINS = {
     ("trpo", "kl"): {"policy"},
     ("value", "loss_value"): {"value"},
 }
-OUTPUT_OF_A_NETWORK = {("value", "value")}  # not an input: see test_value.py
-KEYS = [
-    (name, field.name)
-    for name, build in BUILD.items()
-    for field in dataclasses.fields(build(networks())._AcceptedKeys)
-    if (name, field.name) not in OUTPUT_OF_A_NETWORK
-]
+NETWORKS = sorted(set().union(*TRAINS.values()))
+
+
+def keys_read(name):
+    """The accepted keys that this build of a loss reads: which, is its networks' business."""
+    loss = BUILD[name](networks())
+    accepted = [field.name for field in dataclasses.fields(loss._AcceptedKeys)]
+    return [key for key in accepted if getattr(loss.tensor_keys, key) in loss.in_keys]
+
+
+KEYS = [(name, key) for name in BUILD for key in keys_read(name)]
 
 each_loss = pytest.mark.parametrize("name", BUILD)
 
@@ -81,7 +88,7 @@ def test_gradients_reach_exactly_the_networks_that_the_loss_trains(name, key):
     loss(batch)[key].backward()
     trained = {
         network
-        for network in ("encoder", "reward", "policy", "value")
+        for network in NETWORKS
         if any(
             p.grad is not None and p.grad.abs().sum() > 0
             for p in getattr(nets, network).parameters()
@@ -171,6 +178,7 @@ def test_the_loss_holds_the_live_parameters(name):
     ("build", "key"),
     [
         (lambda n, r: DiscriminatorLoss(n.discriminator, reduction=r), "loss_discriminator"),
+        (lambda n, r: DiscriminatorLoss(n.gail, reduction=r), "loss_discriminator"),
         (lambda n, r: TRPOLoss(n.policy, reduction=r), "loss_objective"),
         (lambda n, r: ValueLoss(n.value, reduction=r), "loss_value"),
     ],

@@ -6,10 +6,10 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from pemirl_trl.modules import AIRLDiscriminator, ShapedReward
+from pemirl_trl.modules import AIRLDiscriminator, GAILDiscriminator, ShapedReward
 from pemirl_trl.objectives import DiscriminatorLoss
 
-from .problems import S, networks, rollouts
+from .problems import A, S, networks, rollouts
 
 LN3 = math.log(3.0)
 
@@ -56,6 +56,50 @@ def test_gradient(by_hand):
     expected = (-0.25 * 1 + 0.75 * -1) / 2, (-0.25 * 0.5 + 0.75 * 2) / 2
     for net, value in zip((reward.reward_net, reward.potential_net), expected, strict=True):
         assert net[0].weight.grad[0, 0].item() == pytest.approx(value)
+
+
+def test_gail_by_hand(float64):
+    """g = s + 2 a + b on one transition of each kind, both with logit ln 3."""
+    discriminator = GAILDiscriminator(1, 1, hidden=())
+    with torch.no_grad():
+        discriminator.net[0].weight.copy_(torch.tensor([[1.0, 2.0]]))
+        discriminator.net[0].bias.fill_(LN3)
+    batch = TensorDict(
+        {
+            "observation": torch.tensor([[2.0], [-6.0]]),
+            "action": torch.tensor([[-1.0], [3.0]]),
+            "is_expert": torch.tensor([True, False]),
+        },
+        [2],
+    )
+    result = DiscriminatorLoss(discriminator)(batch)
+    # D = 3/4 on both: -log D = ln(4/3) and -log(1 - D) = ln 4.
+    assert result["loss_discriminator"].item() == pytest.approx((math.log(4 / 3) + math.log(4)) / 2)
+    assert result["logit_expert_mean"].item() == pytest.approx(LN3)
+    assert result["logit_policy_mean"].item() == pytest.approx(LN3)
+    result["loss_discriminator"].backward()
+    # Mean of (D - is_expert) (s, a): (-1/4 * 2 + 3/4 * -6) / 2 and (-1/4 * -1 + 3/4 * 3) / 2.
+    assert discriminator.net[0].weight.grad.tolist() == [pytest.approx([-2.5, 1.25])]
+
+
+def test_each_discriminator_reads_what_its_roles_say():
+    nets = networks()
+    airl, gail = DiscriminatorLoss(nets.discriminator), DiscriminatorLoss(nets.gail)
+    following = ("next", "observation")
+    assert airl.in_keys == ["observation", following, "context", "action_log_prob", "is_expert"]
+    assert gail.in_keys == ["observation", "action", "is_expert"]
+    for network in (nets.discriminator, nets.gail):
+        assert DiscriminatorLoss(network).in_keys == [*network.in_keys, "is_expert"]
+
+
+def test_gail_sees_neither_context_nor_density():
+    nets, batch = networks(), rollouts()
+    expected = DiscriminatorLoss(nets.gail)(batch)
+    for key in ("context", "action_log_prob"):
+        batch[key] = batch[key] + 100.0
+    assert (DiscriminatorLoss(nets.gail)(batch) == expected).all()
+    batch["action"] = batch["action"] + torch.ones(A)
+    assert (DiscriminatorLoss(nets.gail)(batch) != expected).any()
 
 
 def test_trailing_dimensions_of_flags_and_densities_do_not_matter(by_hand):

@@ -36,7 +36,7 @@ def constant_value(value):
 @pytest.mark.parametrize("lmbda", BY_HAND)
 def test_advantage_and_target_by_hand(lmbda):
     advantage = FiniteHorizonAdvantage(
-        gamma=0.5, lmbda=lmbda, value=constant_value(1.0), standardize=False
+        gamma=0.5, lmbda=lmbda, value=constant_value(1.0), standardize=None
     )
     result = advantage(episode())
     for key, expected in zip(("advantage", "value_target"), BY_HAND[lmbda], strict=True):
@@ -62,7 +62,7 @@ def scored():
 
 def test_the_linear_baseline_is_fitted_to_each_contexts_returns():
     batch = scored()
-    result = FiniteHorizonAdvantage(gamma=0.9, rollouts_per_context=K, standardize=False)(batch)
+    result = FiniteHorizonAdvantage(gamma=0.9, rollouts_per_context=K, standardize=None)(batch)
     returns = discounted_return(batch["next", "reward"].squeeze(-1), 0.9)
     features = time_polynomial_features(batch["observation"])
     for m in range(M):
@@ -75,7 +75,7 @@ def test_the_linear_baseline_is_fitted_to_each_contexts_returns():
 
 def test_a_return_that_time_explains_leaves_no_advantage():
     batch = scored().set(("next", "reward"), torch.ones(M * K, T, 1))  # T - t, linear in t
-    result = FiniteHorizonAdvantage(gamma=1.0, rollouts_per_context=K, standardize=False)(batch)
+    result = FiniteHorizonAdvantage(gamma=1.0, rollouts_per_context=K, standardize=None)(batch)
     assert result["advantage"].abs().max() < 1e-2
     assert result["value_target"].max() == T
 
@@ -83,7 +83,7 @@ def test_a_return_that_time_explains_leaves_no_advantage():
 def test_standardised_advantages_and_another_reward_key():
     batch = scored()
     kwargs = {"rollouts_per_context": M * K}  # more rows than features
-    raw = FiniteHorizonAdvantage(standardize=False, **kwargs)(batch.copy())["advantage"]
+    raw = FiniteHorizonAdvantage(standardize=None, **kwargs)(batch.copy())["advantage"]
     batch["elsewhere"] = batch["next"].pop("reward")
     values = FiniteHorizonAdvantage(reward_key="elsewhere", **kwargs)(batch)["advantage"]
     assert torch.allclose(values, (raw - raw.mean()) / raw.std(correction=0))

@@ -37,7 +37,11 @@ _GOAL_MEANS = (0.1, 0.3, 0.5)  # m, components of the distribution of test goals
 _GOAL_STD = 0.05  # m
 _GOAL_RANGE = (0.0, 0.6)  # m, to which that distribution is truncated
 
-_TASK_SETS = {"train_100": (100, 2019_100), "test": (30, 2019_030)}  # number of goals, seed
+_TASK_SETS = {
+    "train_100": (100, 2019_100),
+    "validation": (15, 2019_015),
+    "test": (30, 2019_030),
+}  # number of goals, seed
 
 
 class PointMaze(Task):
@@ -46,7 +50,8 @@ class PointMaze(Task):
     Splits:
         ``train``: 13 goals, x in {0, 0.04, ..., 0.48} (the authors' code).
         ``train_100``: 100 goals drawn once from ``continuous`` (the paper's number of tasks).
-        ``test``: 30 other goals drawn once from ``continuous``.
+        ``validation``: 15 other goals, to choose settings on.
+        ``test``: 30 other goals, to report on; both drawn once from ``continuous``.
         ``continuous``: x ~ N(mean, 0.05) with the mean one of 0.1, 0.3, 0.5, truncated to [0, 0.6];
         a new draw for each episode.
         ``uniform``: x ~ U(0, 0.6); a new draw for each episode. Covers every other split. The
@@ -62,7 +67,7 @@ class PointMaze(Task):
     horizon = 100
     n_sub_steps = 5
     observation_size = 2
-    splits = ("train", "train_100", "test", "continuous", "uniform")
+    splits = ("train", "train_100", "validation", "test", "continuous", "uniform")
 
     def __init__(
         self,

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from pemirl_trl.checkpoint import atomic_path
 from pemirl_trl.evaluation.reward_quality import Bounds
 
-__all__ = ["learning_curve", "reward_maps", "save_figure"]
+__all__ = ["learning_curve", "reward_maps", "reward_scatter", "save_figure"]
 
 _REFERENCE_STYLES = ("--", ":", "-.")
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito
@@ -35,12 +35,13 @@ def reward_maps(
     extent: Bounds,
     goals: ArrayLike,
     *,
+    shaped: ArrayLike | None = None,
     start: ArrayLike | None = None,
     segments: Sequence[Segment] = (),
     demonstrations: ArrayLike | None = None,
     titles: Sequence[str] | None = None,
 ) -> Figure:
-    """Draw learned rewards above true ones, one column per context.
+    """Draw learned rewards above true ones, and shaped ones between, one column per context.
 
     The learned reward's scale is arbitrary, so every map spans its own range of colours.
 
@@ -49,6 +50,7 @@ def reward_maps(
         true: ``[C, H, W]``.
         extent: ``((x_low, x_high), (y_low, y_high))`` of the maps, in metres.
         goals: ``[C, 2]``, red stars.
+        shaped: the learned reward with its potential, ``[C, H, W]``.
         start: ``[2]`` or ``[C, 2]``, white circles.
         segments: barriers ``((x0, y0), (x1, y1))``, thick black lines.
         demonstrations: positions ``[C, T, 2]`` of the demonstration that each context came from.
@@ -57,25 +59,32 @@ def reward_maps(
     Raises:
         ValueError: the number of contexts or the shapes do not agree.
     """
-    learned, true, goals = np.asarray(learned), np.asarray(true), np.asarray(goals)
+    rows = {"learned reward": np.asarray(learned), "true reward": np.asarray(true)}
+    if shaped is not None:
+        rows = {
+            "learned reward": rows["learned reward"],
+            "shaped reward": np.asarray(shaped),
+            **rows,
+        }
+    goals = np.asarray(goals)
     count = len(goals)
     paths = None if demonstrations is None else np.asarray(demonstrations)
     starts = None if start is None else np.broadcast_to(np.asarray(start), (count, 2))
     lengths = {
-        "learned": learned.shape,
-        "true": true.shape,
+        **{name: maps.shape for name, maps in rows.items()},
         "goals": goals.shape,
         "demonstrations": (count,) if paths is None else paths.shape,
         "titles": (count,) if titles is None else (len(titles),),
     }
-    if learned.ndim != 3 or true.ndim != 3 or any(s[0] != count for s in lengths.values()):
+    if any(m.ndim != 3 for m in rows.values()) or any(s[0] != count for s in lengths.values()):
         raise ValueError(f"got shapes {lengths}; expected [C, H, W] maps and C of everything else")
     (x_low, x_high), (y_low, y_high) = extent
-    side = (_SIDE * count + 1.2, _SIDE * 2 * (y_high - y_low) / (x_high - x_low) + 0.5)
+    height = _SIDE * (y_high - y_low) / (x_high - x_low)
+    side = (_SIDE * count + 1.2, height * len(rows) + 0.5)
     figure = Figure(figsize=side, layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.subplots(2, count, squeeze=False, sharex=True, sharey=True)
-    for row, (name, maps) in enumerate((("learned reward", learned), ("true reward", true))):
+    grid = figure.subplots(len(rows), count, squeeze=False, sharex=True, sharey=True)
+    for row, (name, maps) in enumerate(rows.items()):
         for column, axes in enumerate(grid[row]):
             image = axes.imshow(
                 maps[column],
@@ -105,6 +114,40 @@ def _mark(axes: Axes, goal: np.ndarray, start: np.ndarray | None) -> None:
     if start is not None:
         axes.plot(*start, "o", markersize=9, color="white", markeredgecolor="black", zorder=3)
     axes.plot(*goal, "*", markersize=15, color="red", markeredgecolor="white", zorder=4)
+
+
+def reward_scatter(
+    learned: Mapping[str, ArrayLike],
+    true: Mapping[str, ArrayLike],
+    titles: Sequence[str],
+) -> Figure:
+    """Draw the learned reward of transitions over their true one.
+
+    Args:
+        learned: coverage distribution (a column) to rewards ``[C, B]``.
+        true: the same for the true reward.
+        titles: what each of the C tasks (a colour) is called.
+
+    Raises:
+        ValueError: the distributions or shapes do not agree.
+    """
+    points = {name: (np.asarray(true.get(name, ())), np.asarray(learned[name])) for name in learned}
+    shapes = {name: (x.shape, y.shape) for name, (x, y) in points.items()}
+    if not points or any(x.shape != y.shape or len(x) != len(titles) for x, y in points.values()):
+        raise ValueError(f"got shapes {shapes}; expected pairs of [{len(titles)}, B]")
+    figure = Figure(figsize=(3.2 * len(points) + 0.4, 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(1, len(points), squeeze=False, sharex=True, sharey=True)[0]
+    for axes, (name, (x, y)) in zip(grid, points.items(), strict=True):
+        for task, title in enumerate(titles):
+            colour = _COLOURS[task % len(_COLOURS)]
+            axes.plot(x[task], y[task], ".", color=colour, markersize=3, alpha=0.5, label=title)
+        axes.set(title=name, xlabel="true reward")
+        axes.grid(alpha=0.25)
+        axes.spines[["top", "right"]].set_visible(False)
+    grid[0].set_ylabel("learned reward")
+    grid[-1].legend(frameon=False, fontsize=8, markerscale=3)
+    return figure
 
 
 def learning_curve(

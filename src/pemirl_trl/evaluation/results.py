@@ -1,4 +1,4 @@
-"""One JSON file per run, one schema for all, and the tables made of them."""
+"""One JSON file per run, one schema for all."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import os
 import platform
 import subprocess
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -21,26 +21,29 @@ __all__ = [
     "SCHEMA",
     "SETTINGS",
     "Result",
+    "Score",
     "environment_facts",
     "normalised_return",
     "read",
-    "table",
+    "read_all",
 ]
 
-SCHEMA = 1
+SCHEMA = 2
 SETTINGS = ("one_shot", "policy_generalisation", "reward_adaptation", "rl_with_true_reward")
+"""What was measured: the meta-trained policy under the dynamics of training, or carried over to
+others; a new policy trained on the learned reward (under the dynamics of training that is
+self-transfer), or on the true one."""
 _PACKAGES = (
     "pemirl-trl",
     "torch",
     "torchrl",
     "tensordict",
     "numpy",
+    "scipy",
     "mujoco",
     "dm_control",
     "gymnasium",
 )
-_TEXT = ("task", "variant", "method", "goals", "commit")
-_MAPPINGS = ("returns", "env_steps", "seconds", "config", "versions", "hardware")
 _ENV_STEPS = {"meta_training", "adaptation"}
 
 
@@ -56,40 +59,90 @@ def normalised_return(mean: float, random: float, expert: float) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Score:
+    """The true returns of one policy over unseen tasks.
+
+    Args:
+        variant: dynamics under which they were measured, such as ``left``.
+        setting: one of :data:`SETTINGS`.
+        goals: which tasks of the split: ``all`` or a name such as ``x_in_0.1_0.4``.
+        per_task: return of each task.
+        random: mean return of the random policy on the same tasks.
+        expert: mean return of the expert on the same tasks.
+        env_steps: environment steps of ``meta_training`` and ``adaptation``.
+        mean, normalised: of ``per_task``; filled in, and checked when they are given.
+    """
+
+    variant: str
+    setting: str
+    goals: str
+    per_task: tuple[float, ...]
+    random: float
+    expert: float
+    env_steps: Mapping[str, int]
+    mean: float = math.nan
+    normalised: float = math.nan
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "per_task", tuple(float(value) for value in self.per_task))
+        problems = list(self._problems())
+        if problems:
+            raise ValueError("not a valid score: " + "; ".join(problems))
+        mean = math.fsum(self.per_task) / len(self.per_task)
+        derived = {"mean": mean, "normalised": normalised_return(mean, self.random, self.expert)}
+        for name, value in derived.items():
+            given = getattr(self, name)
+            if not math.isnan(given) and not math.isclose(given, value, rel_tol=1e-6, abs_tol=1e-9):
+                raise ValueError(
+                    f"not a valid score: {name} is {given}, but the other fields give {value}"
+                )
+            object.__setattr__(self, name, value)
+
+    def _problems(self) -> Sequence[str]:
+        problems = []
+        if self.setting not in SETTINGS:
+            problems.append(f"setting is {self.setting!r}, expected one of {', '.join(SETTINGS)}")
+        if set(self.env_steps) != _ENV_STEPS:
+            problems.append(
+                f"env_steps has {sorted(self.env_steps)}, expected {sorted(_ENV_STEPS)}"
+            )
+        numbers = (*self.per_task, self.random, self.expert)
+        if not self.per_task or not all(math.isfinite(number) for number in numbers):
+            problems.append(
+                f"per_task, random and expert are {numbers}, expected finite numbers and a task"
+            )
+        return problems
+
+
+@dataclass(frozen=True, kw_only=True)
 class Result:
     """What one run measured, on its last policy.
 
     Args:
-        task: Task, such as ``point_maze``.
-        variant: Dynamics under which the return was measured, such as ``left``.
-        method: Method, such as ``pemirl``.
-        setting: One of :data:`SETTINGS`.
-        seed: Seed of the run.
-        goals: Which test goals: ``all`` or a name such as ``x_in_0.1_0.4``.
-        returns: ``mean`` and ``per_task``, the return of each test task, on the true reward.
-        random: Mean return of the random policy on the same tasks.
-        expert: Mean return of the expert on the same tasks.
-        normalised: :func:`normalised_return` of the mean.
-        env_steps: Environment steps of ``meta_training`` and ``adaptation``.
-        seconds: Wall-clock seconds by phase.
-        config: The run's whole configuration.
-        versions: Version of each package.
-        hardware: What it ran on.
-        commit: Commit of the code, ``-dirty`` where files had been changed, or ``unknown``.
-        schema: Version of this schema.
+        table: the comparison that the run belongs to, such as ``point_maze``.
+        row: the named configuration within it, such as ``pemirl``.
+        task: domain, such as ``point_maze``.
+        seed: seed of the run.
+        split: which unseen tasks: ``test``, or ``validation`` where settings are chosen.
+        scores: returns, by setting, dynamics and goals.
+        reward: measures of the learned reward, by name; empty where there is none.
+        curves: ``(environment steps, true return)`` over training, by stage.
+        seconds: wall-clock seconds by stage.
+        config: the run's whole configuration.
+        versions: version of each package.
+        hardware: what it ran on.
+        commit: commit of the code, ``-dirty`` where files had been changed, or ``unknown``.
+        schema: version of this schema.
     """
 
+    table: str
+    row: str
     task: str
-    variant: str
-    method: str
-    setting: str
     seed: int
-    goals: str
-    returns: Mapping[str, Any]
-    random: float
-    expert: float
-    normalised: float
-    env_steps: Mapping[str, int]
+    split: str
+    scores: tuple[Score, ...]
+    reward: Mapping[str, float] = field(default_factory=dict)
+    curves: Mapping[str, Sequence[Sequence[float]]] = field(default_factory=dict)
     seconds: Mapping[str, float]
     config: Mapping[str, Any]
     versions: Mapping[str, str]
@@ -98,73 +151,33 @@ class Result:
     schema: int = SCHEMA
 
     def __post_init__(self) -> None:
-        problems = [*self._type_problems()] or [*self._value_problems()]
+        problems = [
+            f"{name} is {value!r}, expected a string"
+            for name in ("table", "row", "task", "split", "commit")
+            if not isinstance(value := getattr(self, name), str)
+        ]
+        if not isinstance(self.seed, int) or isinstance(self.seed, bool):
+            problems.append(f"seed is {self.seed!r}, expected an integer")
+        if self.schema != SCHEMA:
+            problems.append(f"schema is {self.schema!r}, this version reads {SCHEMA}")
+        keys = [(score.setting, score.variant, score.goals) for score in self.scores]
+        if not keys or len(set(keys)) != len(keys):
+            problems.append(f"scores are of {keys}, expected at least one, and each once")
+        if not all(math.isfinite(value) for value in self.reward.values()):
+            problems.append(f"reward is {dict(self.reward)}, expected finite numbers")
         if problems:
             raise ValueError("not a valid result: " + "; ".join(problems))
 
-    def _type_problems(self) -> list[str]:
-        expected: dict[str, tuple[type, ...]] = {
-            **dict.fromkeys(_TEXT, (str,)),
-            **dict.fromkeys(_MAPPINGS, (Mapping,)),
-            **dict.fromkeys(("random", "expert", "normalised"), (int, float)),
-            "seed": (int,),
-        }
-        problems = [
-            f"{name} is {value!r}, expected {types[-1].__name__.lower()}"
-            for name, types in expected.items()
-            if not isinstance(value := getattr(self, name), types) or isinstance(value, bool)
-        ]
-        if self.schema != SCHEMA:
-            problems.append(f"schema is {self.schema!r}, this version reads {SCHEMA}")
-        if self.setting not in SETTINGS:
-            problems.append(f"setting is {self.setting!r}, expected one of {', '.join(SETTINGS)}")
-        return problems
-
-    def _value_problems(self) -> list[str]:
-        if set(self.returns) != {"mean", "per_task"} or not self.returns["per_task"]:
-            return [f"returns is {dict(self.returns)}, expected mean and a non-empty per_task"]
-        if set(self.env_steps) != _ENV_STEPS:
-            return [f"env_steps has {sorted(self.env_steps)}, expected {sorted(_ENV_STEPS)}"]
-        numbers = [*self.returns["per_task"], self.returns["mean"], self.random, self.expert]
-        if not all(math.isfinite(number) for number in numbers):
-            return [f"returns, random and expert are {numbers}, expected finite numbers"]
-        mean = math.fsum(self.returns["per_task"]) / len(self.returns["per_task"])
-        derived = {
-            "returns.mean": (self.returns["mean"], mean),
-            "normalised": (self.normalised, normalised_return(mean, self.random, self.expert)),
-        }
-        return [
-            f"{name} is {got}, but the other fields give {want}"
-            for name, (got, want) in derived.items()
-            if not math.isclose(got, want, rel_tol=1e-6, abs_tol=1e-9)
-        ]
-
-    @classmethod
-    def measured(
-        cls, *, per_task: Sequence[float], random: float, expert: float, **known: Any
-    ) -> Result:
-        """Build a result of this process: mean, normalised return and facts are filled in.
-
-        Args:
-            per_task: return of each test task.
-            random: mean return of the random policy.
-            expert: mean return of the expert.
-            known: the other fields, less ``versions``, ``hardware`` and ``commit``.
-        """
-        values = [float(value) for value in per_task]
-        mean = math.fsum(values) / max(len(values), 1)
-        return cls(
-            returns={"mean": mean, "per_task": values},
-            random=random,
-            expert=expert,
-            normalised=normalised_return(mean, random, expert),
-            **environment_facts(),
-            **known,
-        )
+    def score(self, setting: str, variant: str, goals: str = "all") -> Score | None:
+        """The score of a setting, dynamics and set of goals, or None if it was not measured."""
+        for score in self.scores:
+            if (score.setting, score.variant, score.goals) == (setting, variant, goals):
+                return score
+        return None
 
     def write(self, path: str | Path) -> None:
         """Write this result as JSON, atomically."""
-        text = json.dumps(asdict(self), indent=2, allow_nan=False)
+        text = json.dumps(asdict(self), indent=1, allow_nan=False)
         with atomic_path(path) as temporary:
             temporary.write_text(text + "\n", encoding="utf-8")
 
@@ -184,9 +197,15 @@ def read(path: str | Path) -> Result:
                 f"missing fields {sorted(expected - found)}, "
                 f"unknown fields {sorted(found - expected)}"
             )
-        return Result(**content)
-    except ValueError as error:  # json.JSONDecodeError is one too
+        scores = tuple(Score(**score) for score in content.pop("scores"))
+        return Result(scores=scores, **content)
+    except (ValueError, TypeError) as error:  # json.JSONDecodeError is a ValueError too
         raise ValueError(f"{path}: {error}") from error
+
+
+def read_all(directory: str | Path) -> list[Result]:
+    """Read every result below a directory, in the order of their paths."""
+    return [read(path) for path in sorted(Path(directory).rglob("*.json"))]
 
 
 # --- facts about this process ------------------------------------------------------------------
@@ -236,50 +255,3 @@ def _commit() -> str:
         return git("rev-parse", "HEAD") + ("-dirty" if dirty else "")
     except (OSError, subprocess.SubprocessError):
         return "unknown"
-
-
-# --- tables ------------------------------------------------------------------------------------
-
-
-def table(results: Sequence[Result]) -> str:
-    """Return a Markdown table: one row per task, variant, setting and goals; methods across.
-
-    A cell is ``mean over seeds (normalised) [every seed]``, in the order of seeds. The columns
-    random and expert are what these results were normalised with.
-
-    Raises:
-        ValueError: nothing to show, or two results for one cell and seed.
-    """
-    if not results:
-        raise ValueError("got no results; expected at least one")
-    cells: dict[tuple[str, str, str], dict[str, dict[int, Result]]] = {}
-    for result in results:
-        row = (f"{result.task} {result.variant}", result.setting, result.goals)
-        seeds = cells.setdefault(row, {}).setdefault(result.method, {})
-        if result.seed in seeds:
-            raise ValueError(
-                f"two results for {result.method}, {', '.join(row)}, seed {result.seed}"
-            )
-        seeds[result.seed] = result
-    methods = sorted({result.method for result in results})
-    lines = [["task", "setting", "goals", "random", "expert", *methods]]
-    lines.append(["---"] * len(lines[0]))
-    order = {setting: place for place, setting in enumerate(SETTINGS)}
-    for row in sorted(cells, key=lambda row: (order[row[1]], row)):
-        there = [r for seeds in cells[row].values() for r in seeds.values()]
-        references = [f"{_mean([getattr(r, k) for r in there]):.2f}" for k in ("random", "expert")]
-        lines.append([*row, *references, *(_cell(cells[row].get(m, {})) for m in methods)])
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
-def _mean(values: Sequence[float]) -> float:
-    return math.fsum(values) / len(values)
-
-
-def _cell(seeds: Mapping[int, Result]) -> str:
-    if not seeds:
-        return "–"
-    results = [seeds[seed] for seed in sorted(seeds)]
-    means = [result.returns["mean"] for result in results]
-    normalised = _mean([result.normalised for result in results])
-    return f"{_mean(means):.2f} ({normalised:.3f}) [{', '.join(f'{m:.2f}' for m in means)}]"

@@ -8,12 +8,18 @@ import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 
+from pemirl_trl.evaluation.reward_distance import (
+    RewardFunction,
+    evaluate_reward,
+    with_transitions,
+)
 from pemirl_trl.evaluation.statistics import spearman
 
 __all__ = [
     "Bounds",
     "argmax_error",
     "distance_to_goal",
+    "map_of_reward",
     "position_grid",
     "reward_on_grid",
     "spearman_with_distance",
@@ -95,6 +101,33 @@ def reward_on_grid(
             f"the reward module wrote {got} under {reward_key!r}; expected [{batch.numel()}, 1]"
         )
     return value.reshape(shape)
+
+
+def map_of_reward(
+    reward: RewardFunction,
+    like: TensorDictBase,
+    positions: Tensor,
+    *,
+    observe: Callable[[Tensor], Tensor] | None = None,
+) -> Tensor:
+    """Evaluate any reward of transitions at rest at every position: s' = s, action zero.
+
+    Of a shaped reward f = r + gamma h(s') - h(s) that is r(s) - (1 - gamma) h(s).
+
+    Args:
+        reward: of transitions ``[C, B]``.
+        like: transitions ``[C, ...]`` of the same tasks, which give what else ``reward`` reads.
+        positions: ``[H, W, 2]``, see :func:`position_grid`.
+        observe: positions ``[H, W, 2]`` to observations ``[H, W, S]``; None where they are equal.
+
+    Returns:
+        ``[C, H, W]`` float64.
+    """
+    observation = (positions if observe is None else observe(positions)).flatten(0, 1)
+    states = observation.to(like["observation"]).expand(like.batch_size[0], -1, -1)
+    action = like["action"][:, :1].expand(-1, states.shape[1], -1)
+    batch = with_transitions(like, states, torch.zeros_like(action), states)
+    return evaluate_reward(reward, batch).unflatten(1, positions.shape[:2])
 
 
 def distance_to_goal(positions: Tensor, goals: Tensor) -> Tensor:

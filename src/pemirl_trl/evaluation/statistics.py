@@ -1,115 +1,137 @@
-"""Means with confidence intervals, over few seeds or many tasks, and rank correlation."""
+"""Statistics over seeds and tasks: intervals, aggregates, correlations. SciPy does the work."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
 from torch import Tensor
 
-__all__ = ["Interval", "average_ranks", "bootstrap_interval", "spearman", "t_interval"]
+__all__ = [
+    "Interval",
+    "iqm",
+    "iqm_interval",
+    "pearson",
+    "probability_of_improvement",
+    "spearman",
+    "t_interval",
+]
+
+Array = NDArray[np.float64]
+
+_TRIMMED = 0.25  # from each end: the interquartile mean
+_BATCH = 1000  # resamples whose statistic is computed at once, for memory's sake
 
 
 class Interval(NamedTuple):
-    """A mean and its confidence interval; ``low`` and ``high`` are NaN for a single value."""
+    """An estimate and its confidence interval; ``low`` and ``high`` are NaN for a single value."""
 
-    mean: float
+    estimate: float
     low: float
     high: float
 
 
-def _sample(values: Tensor | Sequence[float], confidence: float) -> Tensor:
-    sample = torch.as_tensor(values, dtype=torch.float64)
-    if sample.ndim != 1 or sample.numel() == 0 or not bool(torch.isfinite(sample).all()):
-        raise ValueError(f"got values {sample.tolist()}; expected a list of finite numbers")
-    if not 0 < confidence < 1:
-        raise ValueError(f"confidence is {confidence}; expected a number between 0 and 1")
-    return sample
-
-
-def _student_t_quantile(confidence: float, dof: int) -> float:
-    r"""Solve :math:`P(|T_\nu| \le t) = ` ``confidence`` for t, by bisection.
-
-    With :math:`\theta = \arctan(t / \sqrt\nu)` the probability is a finite sum (Abramowitz and
-    Stegun, Handbook of Mathematical Functions, 26.7.3 and 26.7.4).
-    """
-
-    def probability(theta: float) -> float:
-        sine, cosine = math.sin(theta), math.cos(theta)
-        odd = dof % 2
-        term = cosine if odd else 1.0
-        total = 0.0
-        for k in range(2 + odd, dof + 1, 2):
-            total += term
-            term *= cosine**2 * (k - 1) / k
-        return 2 / math.pi * (theta + sine * total) if odd else sine * total
-
-    low, high = 0.0, math.pi / 2
-    for _ in range(100):  # more halvings than a double has bits
-        middle = (low + high) / 2
-        low, high = (middle, high) if probability(middle) < confidence else (low, middle)
-    return math.sqrt(dof) * math.tan(low)
-
-
-def t_interval(values: Tensor | Sequence[float], confidence: float = 0.95) -> Interval:
+def t_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
     """Mean and Student-t interval: for few values that are about normal, such as seeds.
 
     Raises:
         ValueError: no values, values that are not finite, or a confidence outside (0, 1).
     """
     sample = _sample(values, confidence)
-    mean, n = sample.mean().item(), sample.numel()
+    mean, n = float(sample.mean()), len(sample)
     if n == 1:
         return Interval(mean, math.nan, math.nan)
-    half = _student_t_quantile(confidence, n - 1) * sample.std().item() / math.sqrt(n)
+    half = float(stats.t.ppf((1 + confidence) / 2, n - 1)) * float(sample.std(ddof=1)) / n**0.5
     return Interval(mean, mean - half, mean + half)
 
 
-def bootstrap_interval(
-    values: Tensor | Sequence[float],
+def iqm(values: ArrayLike) -> float:
+    """Interquartile mean: the mean without the lowest and the highest quarter, rounded down.
+
+    Of fewer than four values it is their mean. (Agarwal et al., NeurIPS 2021, "Deep Reinforcement
+    Learning at the Edge of the Statistical Precipice", Section 4.3.)
+    """
+    return float(stats.trim_mean(np.asarray(values, np.float64).ravel(), _TRIMMED))
+
+
+def iqm_interval(
+    strata: Sequence[float] | Sequence[Sequence[float]] | Tensor,
     confidence: float = 0.95,
     *,
     resamples: int = 10_000,
     seed: int = 0,
 ) -> Interval:
-    """Mean and percentile-bootstrap interval: for some twenty values or more, such as tasks.
+    """Interquartile mean of all values pooled, with a stratified percentile-bootstrap interval.
 
-    Too narrow for a handful of seeds; use :func:`t_interval` there.
+    What is resampled, with replacement and within each stratum, are runs: one value is one seed's
+    (say, its mean over tasks), and a stratum is a domain, a setting or a method. The tasks of one
+    seed are no strata and no values: they share a policy, so they are not independent, and
+    resampling them would promise a precision that other seeds do not keep.
+    (Agarwal et al., NeurIPS 2021, Section 4.1.)
+
+    Args:
+        strata: one value per seed; or one such list per stratum, of any lengths.
+        confidence: of the interval.
+        resamples: bootstrap samples.
+        seed: of the resampling.
+
+    Returns:
+        The interval; its ends are NaN where a stratum has a single value, and so shows no spread.
 
     Raises:
         ValueError: no values, values that are not finite, or a confidence outside (0, 1).
     """
-    sample = _sample(values, confidence)
-    mean, n = sample.mean().item(), sample.numel()
-    if n == 1:
-        return Interval(mean, math.nan, math.nan)
-    generator = torch.Generator().manual_seed(seed)
-    means = sample[torch.randint(n, (resamples, n), generator=generator)].mean(1)
-    tail = (1 - confidence) / 2
-    low, high = means.quantile(torch.tensor([tail, 1 - tail], dtype=torch.float64)).tolist()
-    return Interval(mean, low, high)
+    nested = len(strata) > 0 and np.ndim(strata[0]) > 0
+    samples = [_sample(values, confidence) for values in (strata if nested else [strata])]
+
+    def pooled(*values: Array, axis: int) -> Array:
+        return np.asarray(stats.trim_mean(np.concatenate(values, axis), _TRIMMED, axis))
+
+    return _bootstrap(samples, pooled, confidence, resamples, seed)
 
 
-def average_ranks(values: Tensor) -> Tensor:
-    """Rank along the last dimension, from 0, ties sharing the mean of their ranks.
+def probability_of_improvement(
+    x: ArrayLike,
+    y: ArrayLike,
+    confidence: float = 0.95,
+    *,
+    resamples: int = 10_000,
+    seed: int = 0,
+) -> Interval:
+    """P(X > Y) + P(X = Y) / 2, with a percentile-bootstrap interval.
+
+    It is Mann and Whitney's U over n m, the number of pairs; that is (1 + E sign(X - Y)) / 2. Both
+    samples are resampled, independently. (Agarwal et al., NeurIPS 2021, Section 4.3.)
 
     Args:
-        values: ``[..., n]``.
+        x: one value per seed ``[n]`` of the method that may be better.
+        y: one value per seed ``[m]`` of the other.
+        confidence: of the interval.
+        resamples: bootstrap samples.
+        seed: of the resampling.
 
     Returns:
-        ``[..., n]`` float64.
+        The interval; its ends are NaN where ``x`` or ``y`` is a single value.
+
+    Raises:
+        ValueError: no values, values that are not finite, or a confidence outside (0, 1).
     """
-    values = values.contiguous()
-    ordered = values.sort(-1).values
-    below = torch.searchsorted(ordered, values)
-    not_above = torch.searchsorted(ordered, values, right=True)
-    return (below + not_above - 1).double() / 2
+
+    def above(x: Array, y: Array, axis: int) -> Array:
+        del axis  # it is the last one
+        pairs = np.sign(x[..., :, None] - y[..., None, :])
+        return np.asarray((1 + pairs.mean((-2, -1))) / 2)
+
+    return _bootstrap([_sample(v, confidence) for v in (x, y)], above, confidence, resamples, seed)
 
 
-def spearman(x: Tensor, y: Tensor) -> Tensor:
-    """Spearman's rank correlation along the last dimension, ties included.
+def pearson(x: Tensor, y: Tensor) -> Tensor:
+    """Linear correlation along the last dimension.
 
     Args:
         x: ``[..., n]``.
@@ -125,5 +147,63 @@ def spearman(x: Tensor, y: Tensor) -> Tensor:
         raise ValueError(
             f"got shapes {tuple(x.shape)} and {tuple(y.shape)}; expected equal ones, without NaN"
         )
-    a, b = (ranks - ranks.mean(-1, keepdim=True) for ranks in map(average_ranks, (x, y)))
-    return (a * b).sum(-1) / (a.norm(dim=-1) * b.norm(dim=-1))
+    a, b = (_unit(values.double()) for values in (x, y))
+    return (a * b).sum(-1).clamp(-1, 1)
+
+
+def spearman(x: Tensor, y: Tensor) -> Tensor:
+    """Spearman's rank correlation along the last dimension; ties share the mean of their ranks.
+
+    Args:
+        x: ``[..., n]``.
+        y: ``[..., n]``.
+
+    Returns:
+        ``[...]`` float64 in [-1, 1]; NaN where one of the two is constant.
+
+    Raises:
+        ValueError: shapes differ, or a value is NaN.
+    """
+    ranks = (torch.from_numpy(stats.rankdata(v.numpy(force=True), axis=-1)) for v in (x, y))
+    # A NaN among the values makes every rank of its row NaN, so pearson refuses it.
+    return pearson(*ranks)
+
+
+def _unit(values: Tensor) -> Tensor:
+    """Centred vectors of length 1; NaN where constant, which rounding in the mean could hide."""
+    constant = values.amax(-1, keepdim=True) == values.amin(-1, keepdim=True)
+    centred = values - values.mean(-1, keepdim=True)
+    return (centred / centred.norm(dim=-1, keepdim=True)).masked_fill(constant, math.nan)
+
+
+def _sample(values: ArrayLike, confidence: float) -> Array:
+    sample = np.asarray(values, np.float64)
+    if sample.ndim != 1 or sample.size == 0 or not np.isfinite(sample).all():
+        raise ValueError(f"got values {sample.tolist()}; expected a list of finite numbers")
+    if not 0 < confidence < 1:
+        raise ValueError(f"confidence is {confidence}; expected a number between 0 and 1")
+    return sample
+
+
+def _bootstrap(
+    samples: Sequence[Array],
+    statistic: Callable[..., Array],
+    confidence: float,
+    resamples: int,
+    seed: int,
+) -> Interval:
+    """Percentile interval of ``statistic(*samples, axis)``; the samples are strata."""
+    estimate = float(statistic(*samples, axis=-1))
+    if any(len(sample) == 1 for sample in samples):
+        return Interval(estimate, math.nan, math.nan)
+    interval = stats.bootstrap(
+        samples,
+        statistic,
+        confidence_level=confidence,
+        n_resamples=resamples,
+        batch=_BATCH,
+        method="percentile",
+        vectorized=True,
+        rng=np.random.default_rng(seed),
+    ).confidence_interval
+    return Interval(estimate, float(interval.low), float(interval.high))

@@ -8,7 +8,11 @@ from pemirl_trl.functional.airl import (
     shaped_reward,
 )
 from pemirl_trl.functional.gaussian import kl_to_standard_normal
-from pemirl_trl.functional.info import info_encoder_loss, info_reward_loss
+from pemirl_trl.functional.info import (
+    info_encoder_loss,
+    info_reward_loss,
+    normalized_within_context,
+)
 from pemirl_trl.functional.policy_gradient import discounted_return, standardize, surrogate
 from pemirl_trl.functional.regression import ridge_prediction, time_polynomial_features
 
@@ -20,6 +24,7 @@ __all__ = [
     "info_reward_loss",
     "kl_to_standard_normal",
     "logit_expert",
+    "normalized_within_context",
     "policy_reward",
     "ridge_prediction",
     "shaped_reward",

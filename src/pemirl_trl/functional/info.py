@@ -8,6 +8,30 @@ from __future__ import annotations
 from torch import Tensor
 
 
+def normalized_within_context(log_q: Tensor) -> Tensor:
+    r"""Centre log q_psi(m|tau) over the rollouts of each context, in deviations of the batch.
+
+    Early rollouts lie thousands of nats from every demonstration; this is free of that scale.
+
+    Args:
+        log_q: ``[M, K]``, in nats.
+
+    Returns:
+        ``[M, K]``: mean 0 in each row, pooled deviation 1; zeros if all are equal.
+
+    Raises:
+        ValueError: fewer than two rollouts share a context.
+    """
+    if log_q.shape[1] < 2:
+        raise ValueError(
+            f"a deviation needs at least 2 rollouts per context, got {log_q.shape[1]}: "
+            "raise rollouts_per_context"
+        )
+    centred = log_q - log_q.mean(1, keepdim=True)
+    deviation = (centred.square().sum() / (centred.numel() - log_q.shape[0])).sqrt()
+    return centred / deviation.clamp_min(1e-6)
+
+
 def info_encoder_loss(log_q: Tensor) -> Tensor:
     r"""Negative log-likelihood of the contexts that produced the rollouts, -E log q_psi(m|tau).
 
@@ -56,9 +80,9 @@ def info_reward_loss(log_q: Tensor, returns: Tensor, *, normalize: bool = False)
             f"a covariance needs at least 2 rollouts per context, got {rollouts}: "
             "raise rollouts_per_context"
         )
-    centred = (log_q - log_q.mean(1, keepdim=True)).detach()
     if normalize:
-        deviation = (centred.square().sum() / (centred.numel() - log_q.shape[0])).sqrt()
-        centred = centred / deviation.clamp_min(1e-6)
+        centred = normalized_within_context(log_q).detach()
+    else:
+        centred = (log_q - log_q.mean(1, keepdim=True)).detach()
     covariance = (centred * returns).sum(1) / (rollouts - 1)
     return -covariance.mean()

@@ -26,10 +26,10 @@ def discounted_return(reward: Tensor, gamma: float) -> Tensor:
     return returns
 
 
-def standardize(values: Tensor, eps: float = 1e-8) -> Tensor:
-    """Zero mean and unit deviation over all elements; a constant tensor becomes zero."""
-    centred = values - values.mean()
-    return centred / (centred.square().mean().sqrt() + eps)
+def standardize(values: Tensor, dim: int | None = None, eps: float = 1e-8) -> Tensor:
+    """Zero mean and unit deviation along a dimension, or over all elements; constants become 0."""
+    centred = values - values.mean(dim, keepdim=True)
+    return centred / (centred.square().mean(dim, keepdim=True).sqrt() + eps)
 
 
 def surrogate(log_prob: Tensor, old_log_prob: Tensor, advantage: Tensor) -> Tensor:

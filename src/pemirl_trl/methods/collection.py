@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from tensordict import TensorDictBase
-from torch import Tensor
 from torchrl.collectors import Collector
 from torchrl.envs import EnvBase, TransformedEnv
 
@@ -20,6 +19,9 @@ class EpisodeCollector:
         env: batch size ``[N]``; all its episodes last ``horizon`` steps.
         policy: sampled, and seen live: steps on its parameters count at once.
         horizon: T.
+
+    Attributes:
+        env_steps: environment steps collected so far, in all.
     """
 
     def __init__(self, env: EnvBase, policy: ContextPolicy, horizon: int) -> None:
@@ -30,6 +32,7 @@ class EpisodeCollector:
         self.horizon = horizon
         self.frames = env.batch_size[0] * horizon
         self.env = env
+        self.env_steps = 0
         self._collector = Collector(
             env,
             policy,
@@ -51,15 +54,22 @@ class EpisodeCollector:
                 f"expected episodes that all end at step {self.horizon}, got ends at steps "
                 f"{sorted((done.squeeze(-1).nonzero()[:, 1] + 1).unique().tolist())}"
             )
+        self.env_steps += self.frames
         return rollouts
 
-    def state_dict(self) -> dict[str, Tensor]:
-        """The environment's random state, where it can tell it (``get_rng_state``)."""
-        base = _unwrapped(self.env)
-        return {"rng": base.get_rng_state()} if hasattr(base, "get_rng_state") else {}
+    def progress(self, iterations: int) -> float:
+        """Where the next of so many iterations stands, from 0 for the first to 1 for the last."""
+        return self.env_steps // self.frames / max(1, iterations - 1)
 
-    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+    def state_dict(self) -> dict[str, Any]:
+        """The steps, and the environment's random state where it tells it (``get_rng_state``)."""
+        base = _unwrapped(self.env)
+        rng = {"rng": base.get_rng_state()} if hasattr(base, "get_rng_state") else {}
+        return {"env_steps": self.env_steps, **rng}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
         """Take that state back."""
+        self.env_steps = int(state["env_steps"])
         if "rng" in state:
             _unwrapped(self.env).set_rng_state(state["rng"])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -23,6 +24,8 @@ class BatchConfig:
         time_steps: transitions drawn from each trajectory.
         current_fraction: share of the policy's trajectories that comes from the last iteration;
             the rest is uniform over the iterations that are replayed.
+        negative_log_prob: the log pi of the policy's transitions: that of their ``"collection"``,
+            or that of the ``"current"`` policy; see :class:`pemirl_trl.AIRLDiscriminator`.
         jitter_fraction: share of the policy's trajectories that gets Gaussian noise on its
             observations, the same on s and s'. Blurred negatives enclose the expert's support.
             An extension of the paper; 0 is off.
@@ -33,6 +36,7 @@ class BatchConfig:
     trajectories: int = 200
     time_steps: int = 10
     current_fraction: float = 0.5
+    negative_log_prob: Literal["collection", "current"] = "collection"
     jitter_fraction: float = 0.0
     jitter_scale: float = 0.0
 
@@ -41,8 +45,8 @@ class DiscriminatorBatches:
     """Draws batches ``[2 n k]`` of n trajectories a side and k transitions each.
 
     An expert transition's m is drawn from q(m | its own demonstration), by reparameterisation, and
-    its log pi is the current policy's. A policy transition keeps the m that produced it and the log
-    pi of its collection.
+    its log pi is the current policy's. A policy transition keeps the m that produced it and, unless
+    told otherwise, the log pi of its collection.
 
     Args:
         model: gives m and log pi.
@@ -83,10 +87,13 @@ class DiscriminatorBatches:
         for key in FIELDS[:-1]:
             batch.set(key, drawn.get(key)[rows, times])
         batch.set("context", m.unsqueeze(1).expand(*times.shape, -1))
-        with torch.no_grad():
-            inputs = batch.select(*self.model.policy.in_keys)
-            log_prob = self.model.policy.get_dist(inputs).log_prob(batch["action"])
-        return batch.set("action_log_prob", log_prob).set("is_expert", _flag(times, True))
+        batch.set("action_log_prob", self._log_prob(batch))
+        return batch.set("is_expert", _flag(times, True))
+
+    @torch.no_grad()
+    def _log_prob(self, batch: TensorDictBase) -> Tensor:
+        inputs = batch.select(*self.model.policy.in_keys)
+        return self.model.policy.get_dist(inputs).log_prob(batch["action"])
 
     def _policy(self, last: int) -> TensorDict:
         c = self.config
@@ -97,6 +104,8 @@ class DiscriminatorBatches:
             if count > 0
         ]
         batch = TensorDict.cat(parts).select(*FIELDS, "action_log_prob")
+        if c.negative_log_prob == "current":
+            batch.set("action_log_prob", self._log_prob(batch))
         if c.jitter_fraction > 0:
             self._jitter(batch)
         return batch.set("is_expert", _flag(batch["action_log_prob"], False))

@@ -7,16 +7,19 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
+from tensordict import TensorDictBase
 from torch.optim import Adam
 from torchrl.envs import EnvBase
 
 from pemirl_trl.data import Negatives
-from pemirl_trl.functional import PolicyReward, policy_reward
+from pemirl_trl.functional import PolicyReward
 from pemirl_trl.methods.collection import EpisodeCollector
 from pemirl_trl.methods.discriminator_batches import BatchConfig, DiscriminatorBatches
-from pemirl_trl.methods.policy_step import PolicyStep, TRPOConfig
+from pemirl_trl.methods.policy_improvement import (
+    PolicyConfig,
+    PolicyImprovement,
+    learned_policy_reward,
+)
 from pemirl_trl.modules import AIRLDiscriminator, PEMIRLModel
 from pemirl_trl.objectives import DiscriminatorLoss, InfoLoss
 from pemirl_trl.objectives.info import Summand
@@ -41,8 +44,7 @@ class PEMIRLConfig:
         info_coeff: weight of L_info beside the classification loss, for theta.
         info_contexts: contexts per Adam step from which L_info is estimated.
         info_summand, info_time_mean, info_normalize: see :class:`InfoLoss`.
-        imitation_coeff: weight of the demonstrations' log-likelihood in the policy's objective.
-        trpo: of the policy step.
+        policy: of the policy's side.
     """
 
     iterations: int = 100
@@ -60,8 +62,7 @@ class PEMIRLConfig:
     info_summand: Summand = "shaped"
     info_time_mean: bool = False
     info_normalize: bool = False
-    imitation_coeff: float = 0.01
-    trpo: TRPOConfig = field(default_factory=TRPOConfig)
+    policy: PolicyConfig = field(default_factory=PolicyConfig)
 
 
 class PEMIRL:
@@ -73,6 +74,8 @@ class PEMIRL:
         env: batch size ``[M K]``, with :class:`pemirl_trl.InferContext` over ``demonstrations``.
         demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``; unlabelled.
         config: of the training.
+        info_loss: another estimator of the information term, with :class:`InfoLoss`'s interface,
+            for comparisons; None takes Lemma 2's.
     """
 
     def __init__(
@@ -81,10 +84,11 @@ class PEMIRL:
         env: EnvBase,
         demonstrations: TensorDictBase,
         config: PEMIRLConfig,
+        *,
+        info_loss: Callable[[TensorDictBase], TensorDictBase] | None = None,
     ) -> None:
-        self.model, self.demonstrations, self.config = model, demonstrations, config
+        self.model, self.config = model, config
         self.iterations = config.iterations
-        self.env_steps = 0
         self.negatives = Negatives(config.replay_iterations)
         self._collect = EpisodeCollector(env, model.policy, model.horizon)
         self._batches = DiscriminatorBatches(
@@ -94,7 +98,7 @@ class PEMIRL:
             config.batch,
             encoder_gradient=config.encoder_gradient,
         )
-        self._info_loss = InfoLoss(
+        self._info_loss = info_loss or InfoLoss(
             model.encoder,
             model.reward,
             rollouts_per_context=config.rollouts_per_context,
@@ -109,19 +113,27 @@ class PEMIRL:
         )
         self._encoder_optimizer = Adam(model.encoder.parameters(), lr=config.encoder_lr)
         self._reward_optimizer = Adam(model.reward.parameters(), lr=config.reward_lr)
-        self._policy_step = PolicyStep(model.policy, config.trpo, config.rollouts_per_context)
+        self._improve_policy = PolicyImprovement(
+            model.policy, demonstrations, config.policy, config.rollouts_per_context
+        )
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps so far."""
+        return self._collect.env_steps
 
     def iteration(self) -> dict[str, float]:
         """One pass of Algorithm 1's loop, in its order."""
+        self._improve_policy.anneal(self._collect.progress(self.iterations))
         # tau_E ~ D_E, m ~ q(m|tau_E), tau ~ pi(tau|m): the environment draws m at its reset.
         rollouts = self._collect()
         self.negatives.add(rollouts)
-        self.env_steps += self._collect.frames
         metrics = {"return/true": float(rollouts["next", "reward"].sum(1).mean())}
         # psi to increase L_info; theta to increase L_info and to classify expert from policy.
         metrics |= self._update_encoder_and_reward(rollouts)
         # omega to increase the learned reward, within a trust region.
-        metrics |= self._update_policy(rollouts)
+        reward = learned_policy_reward(self.model.reward, rollouts, self.config.policy_reward)
+        metrics |= self._improve_policy(rollouts, reward)
         return metrics
 
     def _update_encoder_and_reward(self, rollouts: TensorDictBase) -> dict[str, float]:
@@ -147,41 +159,8 @@ class PEMIRL:
         count = rollouts.shape[0] // k
         chosen = torch.randperm(count)[: self.config.info_contexts]
         rows = (chosen.unsqueeze(-1) * k + torch.arange(k)).reshape(-1)
-        keys = ("observation", "action", ("next", "observation"), "context")
+        keys = ("observation", "action", ("next", "observation"), "context", "demonstration")
         return rollouts.select(*keys)[rows]
-
-    def _update_policy(self, rollouts: TensorDictBase) -> dict[str, float]:
-        reward = self._policy_reward(rollouts)
-        batch = rollouts.copy().set(("next", "reward"), reward)
-        metrics = self._policy_step(batch, self._imitation_loss(rollouts))
-        return {"return/learned": float(reward.sum(1).mean()), **metrics}
-
-    @torch.no_grad()
-    def _policy_reward(self, rollouts: TensorDictBase) -> Tensor:
-        kind, keys = self.config.policy_reward, self.model.reward.in_keys
-        if kind == "state":  # r needs no next observation; the potentials' time is saved
-            keys = [keys[0], keys[2]]
-        scored = self.model.reward(rollouts.select(*keys))
-        reward = scored["learned_reward"]
-        shaped = scored.get("shaped_reward", reward)
-        return policy_reward(reward, shaped, rollouts["action_log_prob"].unsqueeze(-1), kind)
-
-    def _imitation_loss(self, rollouts: TensorDictBase) -> Callable[[], Tensor] | None:
-        if self.config.imitation_coeff == 0:
-            return None
-        first = rollouts[:: self.config.rollouts_per_context]  # one row per context
-        demonstrations = self.demonstrations[first["demonstration"][:, 0]]
-        batch = TensorDict(
-            {"observation": demonstrations["observation"], "context": first["context"]},
-            first.shape,
-        ).reshape(-1)
-        action = demonstrations["action"].flatten(0, 1)
-
-        def loss() -> Tensor:
-            log_prob = self.model.policy.get_dist(batch.copy()).log_prob(action)
-            return -self.config.imitation_coeff * log_prob.mean()
-
-        return loss
 
     def components(self) -> dict[str, Any]:
         """What a checkpoint holds."""
@@ -191,13 +170,4 @@ class PEMIRL:
             "reward_optimizer": self._reward_optimizer,
             "negatives": self.negatives,
             "collector": self._collect,
-            "progress": self,
         }
-
-    def state_dict(self) -> dict[str, Any]:
-        """Counters of the run."""
-        return {"env_steps": self.env_steps}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue a run."""
-        self.env_steps = int(state["env_steps"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,6 +11,7 @@ from torchrl.envs import EnvBase
 
 from pemirl_trl.methods.collection import EpisodeCollector
 from pemirl_trl.methods.policy_step import PolicyStep, TRPOConfig
+from pemirl_trl.methods.schedule import log_linear
 from pemirl_trl.modules import ContextPolicy
 from pemirl_trl.transforms import LearnedReward
 
@@ -59,14 +61,17 @@ class PolicyOptimization:
     ) -> None:
         self.config, self.policy = config, policy
         self.iterations = config.iterations
-        self.env_steps = 0
         self._collect = EpisodeCollector(env, policy, horizon)
-        self._initial_log_scale = policy.log_scale.detach().clone()
+        self._initial_scale = float(policy.log_scale.detach().exp().mean())
         if config.final_scale is not None:
             policy.log_scale.requires_grad_(False)
         self._step = PolicyStep(policy, config.trpo, rollouts_per_context)
         self._learned = None if reward is None else LearnedReward(reward)
-        self._iteration = 0
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps so far."""
+        return self._collect.env_steps
 
     def iteration(self) -> dict[str, float]:
         """Collect, score, step."""
@@ -77,32 +82,16 @@ class PolicyOptimization:
             self._learned(rollouts)
             metrics["return/learned"] = float(rollouts["next", "reward"].sum(1).mean())
         metrics |= self._step(rollouts)
-        self._iteration += 1
-        self.env_steps += self._collect.frames
         return metrics
 
     def _force_scale(self) -> None:
         if self.config.final_scale is None:
             return
-        steps = max(1, round(self.config.anneal_fraction * self.iterations))
-        progress = min(1.0, self._iteration / steps)
-        start = self._initial_log_scale
-        end = start.new_tensor(self.config.final_scale).log()
-        self.policy.log_scale.data.copy_(start + progress * (end - start))
+        progress = self._collect.progress(self.iterations)
+        finish = self.config.anneal_fraction
+        scale = log_linear(self._initial_scale, self.config.final_scale, progress, finish=finish)
+        self.policy.log_scale.data.fill_(math.log(scale))
 
     def components(self) -> dict[str, Any]:
         """What a checkpoint holds."""
-        return {"policy": self.policy, "collector": self._collect, "progress": self}
-
-    def state_dict(self) -> dict[str, Any]:
-        """Counters of the run."""
-        return {
-            "iteration": self._iteration,
-            "env_steps": self.env_steps,
-            "initial_log_scale": self._initial_log_scale,
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue a run."""
-        self._iteration, self.env_steps = int(state["iteration"]), int(state["env_steps"])
-        self._initial_log_scale = state["initial_log_scale"]
+        return {"policy": self.policy, "collector": self._collect}

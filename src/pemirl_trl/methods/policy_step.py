@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from tensordict import TensorDictBase
@@ -24,6 +25,8 @@ class TRPOConfig:
         cg_iterations, damping: of the conjugate gradient.
         fisher_rows: transitions for the Fisher-vector products, drawn from the batch.
         entropy_coeff: weight of the entropy beside standardised advantages.
+        standardize: over what advantages are standardised, ``"batch"`` or ``"context"``; see
+            :class:`pemirl_trl.FiniteHorizonAdvantage`.
     """
 
     gamma: float = 0.99
@@ -33,6 +36,7 @@ class TRPOConfig:
     damping: float = 1e-5
     fisher_rows: int = 4000
     entropy_coeff: float = 0.0
+    standardize: Literal["batch", "context"] = "batch"
 
 
 class PolicyStep:
@@ -58,6 +62,7 @@ class PolicyStep:
             lmbda=config.lmbda,
             rollouts_per_context=rollouts_per_context,
             observation_map=policy.gaussian.standardize,
+            standardize=config.standardize,
         )
         self.optimizer = TrustRegionOptimizer(
             policy.parameters(),

@@ -1,8 +1,8 @@
 """Networks of PEMIRL as TensorDict modules."""
 
 from pemirl_trl.modules.actors import ContextPolicy, ContextValue
-from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder
-from pemirl_trl.modules.discriminator import AIRLDiscriminator
+from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder, NoContext
+from pemirl_trl.modules.discriminator import AIRLDiscriminator, GAILDiscriminator
 from pemirl_trl.modules.model import ModelConfig, PEMIRLModel
 from pemirl_trl.modules.reward import ShapedReward
 from pemirl_trl.modules.standardize import Standardize
@@ -12,8 +12,10 @@ __all__ = [
     "ContextEncoder",
     "ContextPolicy",
     "ContextValue",
+    "GAILDiscriminator",
     "MaskedContextEncoder",
     "ModelConfig",
+    "NoContext",
     "PEMIRLModel",
     "ShapedReward",
     "Standardize",

@@ -164,6 +164,23 @@ class ContextEncoder(_GaussianContext):
         super().__init__(flat, context_dim, ["observation", "action"], context_key)
 
 
+class _NothingNet(nn.Module):
+    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        nothing = observation.new_empty((*observation.shape[:-2], 0))
+        return nothing, nothing
+
+
+class NoContext(_GaussianContext):
+    """The inference model of a method without contexts: m has no dimension, log q is 0.
+
+    Reads ``observation`` ``[N, T, S]``; everything that takes a context runs on ``[N, 0]`` as it
+    does on ``[N, D]``.
+    """
+
+    def __init__(self, *, context_key: NestedKey = "context") -> None:
+        super().__init__(_NothingNet(), 0, ["observation"], context_key)
+
+
 class MaskedContextEncoder(_GaussianContext):
     """q_psi(m | tau) for trajectories of any length, padded to a common one.
 

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from torch import nn
 
 from pemirl_trl.modules.actors import ContextPolicy
-from pemirl_trl.modules.context_encoder import ContextEncoder
+from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder, NoContext
+from pemirl_trl.modules.discriminator import GAILDiscriminator
 from pemirl_trl.modules.reward import ShapedReward
 from pemirl_trl.modules.standardize import Standardize
+
+EncoderKind = Literal["flat", "masked"]
+RewardKind = Literal["shaped", "gail"]
 
 
 @dataclass(frozen=True)
@@ -18,13 +23,18 @@ class ModelConfig:
     """Sizes of the paper's networks (Yu et al., 2019, Appendix E.1), all with ReLU.
 
     Attributes:
-        context_dim: D, dimension of the latent context.
+        context_dim: D, dimension of the latent context; 0 for methods that know none.
+        encoder: ``"flat"``, an MLP on the whole trajectory (the paper's), or ``"masked"``, the
+            average of embedded steps, for trajectories of any length.
+        reward: ``"shaped"``, AIRL's r and h, or ``"gail"``, the logit of GAIL's D(s, a).
         encoder_hidden, policy_hidden, reward_hidden: widths of the hidden layers.
         reward_gamma: discount of the potential in f.
         policy_scale: the policy's deviation before training.
     """
 
     context_dim: int = 3
+    encoder: EncoderKind = "flat"
+    reward: RewardKind = "shaped"
     encoder_hidden: Sequence[int] = (128, 128)
     policy_hidden: Sequence[int] = (64, 64)
     reward_hidden: Sequence[int] = (32, 32)
@@ -37,6 +47,7 @@ class PEMIRLModel(nn.Module):
 
     Attributes:
         encoder, reward, policy: the three networks; they share the map of observations.
+            ``reward`` writes ``learned_reward``, whatever its kind.
 
     Args:
         observation_dim, action_dim, horizon: S, A and T of the domain.
@@ -56,22 +67,45 @@ class PEMIRLModel(nn.Module):
         self.config = config = config or ModelConfig()
         self.observation_dim, self.action_dim, self.horizon = observation_dim, action_dim, horizon
         self.standardize = standardize or Standardize.identity(observation_dim)
-        self.encoder = ContextEncoder(
-            observation_dim,
-            action_dim,
-            config.context_dim,
-            horizon,
-            hidden=config.encoder_hidden,
-            standardize=self.standardize,
-        )
-        self.reward = ShapedReward(
-            observation_dim,
-            config.context_dim,
-            gamma=config.reward_gamma,
-            hidden=config.reward_hidden,
-            standardize=self.standardize,
-        )
+        self.encoder = self._new_encoder()
+        self.reward = self._new_reward()
         self.policy = self.new_policy()
+
+    def _new_encoder(self) -> ContextEncoder | MaskedContextEncoder | NoContext:
+        c = self.config
+        if c.encoder not in get_args(EncoderKind):
+            raise ValueError(
+                f"unknown encoder {c.encoder!r}; choose one of {get_args(EncoderKind)}"
+            )
+        if c.context_dim == 0:
+            return NoContext()
+        sizes = (self.observation_dim, self.action_dim, c.context_dim)
+        if c.encoder == "masked":
+            return MaskedContextEncoder(
+                *sizes, hidden=c.encoder_hidden, standardize=self.standardize
+            )
+        return ContextEncoder(
+            *sizes, self.horizon, hidden=c.encoder_hidden, standardize=self.standardize
+        )
+
+    def _new_reward(self) -> ShapedReward | GAILDiscriminator:
+        c = self.config
+        if c.reward == "shaped":
+            return ShapedReward(
+                self.observation_dim,
+                c.context_dim,
+                gamma=c.reward_gamma,
+                hidden=c.reward_hidden,
+                standardize=self.standardize,
+            )
+        if c.reward == "gail":
+            return GAILDiscriminator(
+                self.observation_dim,
+                self.action_dim,
+                hidden=c.reward_hidden,
+                standardize=self.standardize,
+            )
+        raise ValueError(f"unknown reward {c.reward!r}; choose one of {get_args(RewardKind)}")
 
     def new_policy(self, scale: float | None = None, *, learn_scale: bool = True) -> ContextPolicy:
         """A freshly initialised policy of this model's sizes, as adaptation starts from."""

@@ -1,4 +1,4 @@
-"""AIRL's binary classification of expert and policy transitions."""
+"""The binary classification of expert and policy transitions, for AIRL and for GAIL."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 
 from pemirl_trl.functional import binary_classification_loss
-from pemirl_trl.modules import AIRLDiscriminator
+from pemirl_trl.modules import AIRLDiscriminator, GAILDiscriminator
 from pemirl_trl.objectives.common import KeyedLoss
 
 
 class DiscriminatorLoss(KeyedLoss):
-    r"""Cross-entropy of D over expert and policy transitions, for theta and phi.
+    r"""Cross-entropy of D over expert and policy transitions, for the discriminator's parameters.
 
     ``loss_discriminator`` = mean over the batch of softplus(-logit) on expert transitions and
     softplus(logit) on policy transitions (Algorithm 1, Yu et al., 2019). Give both in equal number.
@@ -28,7 +28,7 @@ class DiscriminatorLoss(KeyedLoss):
     Metrics (detached): ``accuracy``, ``logit_expert_mean``, ``logit_policy_mean``.
 
     Args:
-        discriminator: gives ``logit_expert``.
+        discriminator: gives ``logit_expert``; its ``roles`` say what it reads.
         detach_context: whether m is data. With False, a context drawn by ``rsample`` carries
             this loss's gradient to the encoder psi, as in the authors' code.
         gradient_penalty_coeff: c.
@@ -39,6 +39,7 @@ class DiscriminatorLoss(KeyedLoss):
     class _AcceptedKeys:
         observation: NestedKey = "observation"
         next_observation: NestedKey = ("next", "observation")
+        action: NestedKey = "action"
         context: NestedKey = "context"
         action_log_prob: NestedKey = "action_log_prob"
         is_expert: NestedKey = "is_expert"
@@ -46,13 +47,13 @@ class DiscriminatorLoss(KeyedLoss):
     default_keys = _AcceptedKeys
     tensor_keys: _AcceptedKeys
 
-    discriminator_network: AIRLDiscriminator
+    discriminator_network: AIRLDiscriminator | GAILDiscriminator
     discriminator_network_params: TensorDictParams
     target_discriminator_network_params: TensorDictParams
 
     def __init__(
         self,
-        discriminator: AIRLDiscriminator,
+        discriminator: AIRLDiscriminator | GAILDiscriminator,
         *,
         detach_context: bool = True,
         gradient_penalty_coeff: float = 0.0,
@@ -70,41 +71,41 @@ class DiscriminatorLoss(KeyedLoss):
         self.out_keys = ["loss_discriminator", *penalty, *metrics]
 
     def _input_keys(self) -> list[NestedKey]:
-        k = self.tensor_keys
-        return [k.observation, k.next_observation, k.context, k.action_log_prob, k.is_expert]
+        roles = (*self.discriminator_network.roles, "is_expert")
+        return [getattr(self.tensor_keys, role) for role in roles]
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
         """Compute the losses.
 
         Args:
-            tensordict: any batch size ``[...]``, with ``observation``, ``("next",
-                "observation")``, ``context``, ``action_log_prob`` and boolean ``is_expert``
-                ``[...]`` or ``[..., 1]``.
+            tensordict: any batch size ``[...]``, with what the discriminator reads (``observation``
+                and some of ``("next", "observation")``, ``action``, ``context``,
+                ``action_log_prob``) and boolean ``is_expert``, ``[...]`` or ``[..., 1]``.
         """
-        observation, next_observation, context, log_prob, is_expert = (
-            tensordict[key] for key in self._input_keys()
-        )
-        if self.detach_context:
-            context = context.detach()
+        roles = self.discriminator_network.roles
+        values = {role: tensordict[getattr(self.tensor_keys, role)] for role in roles}
+        is_expert = tensordict[self.tensor_keys.is_expert]
+        for role in ("action_log_prob", *(("context",) if self.detach_context else ())):
+            if role in values:
+                values[role] = values[role].detach()
         penalised = self.gradient_penalty_coeff > 0 and torch.is_grad_enabled()
         if penalised:
-            observation = observation.detach().requires_grad_()
+            values["observation"] = values["observation"].detach().requires_grad_()
         names = self.discriminator_network.in_keys
-        values = (observation, next_observation, context, log_prob.detach())
-        inputs = TensorDict(dict(zip(names, values, strict=True)), tensordict.batch_size)
+        inputs = TensorDict(dict(zip(names, values.values(), strict=True)), tensordict.batch_size)
         with self.discriminator_network_params.to_module(
             self.discriminator_network, preserve_module_state=False
         ):
             outputs = self.discriminator_network(inputs)
-            scale = self.discriminator_network.reward.standardize.scale
+            scale = self.discriminator_network.standardize.scale
         logit = outputs[self.discriminator_network.out_keys[-1]]
         is_expert = is_expert.view(logit.shape).bool()
         loss = binary_classification_loss(logit, is_expert).squeeze(-1)
         result = TensorDict({"loss_discriminator": self._reduce_loss(loss, tensordict)})
         if penalised:
             reward = outputs[self.discriminator_network.out_keys[0]]
-            penalty = _squared_slope(reward, observation, scale, is_expert)
+            penalty = _squared_slope(reward, values["observation"], scale, is_expert)
             result["loss_gradient_penalty"] = self.gradient_penalty_coeff * penalty
         elif self.gradient_penalty_coeff > 0:
             result["loss_gradient_penalty"] = torch.zeros(())

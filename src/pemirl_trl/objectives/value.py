@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -81,7 +82,8 @@ class FiniteHorizonAdvantage:
         rollouts_per_context: how many consecutive rollouts share a linear fit.
         value: gives ``state_value`` ``[N, T, 1]``; run without gradients.
         observation_map: applied to observations before the linear fit (their standardisation).
-        standardize: whether advantages get zero mean and unit deviation over the batch.
+        standardize: over what advantages get zero mean and unit deviation: the ``"batch"``, the
+            rollouts of each ``"context"``, so that no task's returns outweigh the others', or None.
         reward_key: which reward to use.
     """
 
@@ -93,7 +95,7 @@ class FiniteHorizonAdvantage:
         rollouts_per_context: int = 1,
         value: TensorDictModuleBase | None = None,
         observation_map: Callable[[Tensor], Tensor] = lambda x: x,
-        standardize: bool = True,
+        standardize: Literal["batch", "context"] | None = "batch",
         reward_key: NestedKey = ("next", "reward"),
     ) -> None:
         self.gamma = gamma
@@ -115,23 +117,25 @@ class FiniteHorizonAdvantage:
         advantage, target = generalized_advantage_estimate(
             self.gamma, self.lmbda, value, next_value, reward, done=end, terminated=end
         )
-        if self.standardize:
+        if self.standardize == "batch":
             advantage = standardize(advantage)
+        elif self.standardize == "context":
+            advantage = standardize(self._by_context(advantage), 1).view_as(advantage)
         return tensordict.set("advantage", advantage).set("value_target", target)
 
     def _baseline(self, tensordict: TensorDictBase, reward: Tensor) -> Tensor:
         if self.value is not None:
             return self.value(tensordict.select(*self.value.in_keys))["state_value"]
-        rollouts, horizon = reward.shape[:2]
+        returns = self._by_context(discounted_return(reward.squeeze(-1), self.gamma).unsqueeze(-1))
+        features = time_polynomial_features(self.observation_map(tensordict["observation"]))
+        return ridge_prediction(self._by_context(features), returns.squeeze(-1)).view_as(reward)
+
+    def _by_context(self, values: Tensor) -> Tensor:
+        """``[N, T, F]`` as ``[M, K T, F]``."""
+        rollouts, horizon, size = values.shape
         if rollouts % self.rollouts_per_context:
             raise ValueError(
                 f"got {rollouts} rollouts, which {self.rollouts_per_context} rollouts per context "
                 "do not divide"
             )
-        returns = discounted_return(reward.squeeze(-1), self.gamma)
-        rows = self.rollouts_per_context * horizon
-        features = time_polynomial_features(self.observation_map(tensordict["observation"]))
-        fit = ridge_prediction(
-            features.reshape(-1, rows, features.shape[-1]), returns.view(-1, rows)
-        )
-        return fit.view_as(reward)
+        return values.reshape(-1, self.rollouts_per_context * horizon, size)

@@ -1,0 +1,146 @@
+"""Meta-InfoGAIL, the paper's adversarial imitation baseline (Yu et al., 2019, Section 5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torch.optim import Adam
+from torchrl.envs import EnvBase
+
+from pemirl_trl.data import Negatives
+from pemirl_trl.functional import info_encoder_loss, normalized_within_context
+from pemirl_trl.methods.collection import EpisodeCollector
+from pemirl_trl.methods.discriminator_batches import BatchConfig, DiscriminatorBatches
+from pemirl_trl.methods.policy_improvement import PolicyConfig, PolicyImprovement
+from pemirl_trl.modules import GAILDiscriminator, PEMIRLModel
+from pemirl_trl.objectives import DiscriminatorLoss
+from pemirl_trl.optim import descend
+
+
+@dataclass(frozen=True)
+class MetaInfoGAILConfig:
+    """Of Meta-InfoGAIL.
+
+    Attributes:
+        iterations: of the loop.
+        rollouts_per_context: K; the environment's batch holds M contexts of K rollouts each.
+        discriminator_steps: Adam steps on D and psi per iteration.
+        discriminator_lr, encoder_lr: of D and of psi.
+        replay_iterations: how many iterations of rollouts serve as negatives.
+        batch: of the discriminator.
+        info_coeff: weight of log q(m | tau), in deviations of the batch, in the policy's reward.
+        info_contexts: contexts per Adam step on psi.
+        policy: of the policy's side.
+    """
+
+    iterations: int = 50
+    rollouts_per_context: int = 16
+    discriminator_steps: int = 10
+    discriminator_lr: float = 1e-3
+    encoder_lr: float = 1e-4
+    replay_iterations: int = 20
+    batch: BatchConfig = field(default_factory=BatchConfig)
+    info_coeff: float = 0.1
+    info_contexts: int = 10
+    policy: PolicyConfig = field(default_factory=PolicyConfig)
+
+
+class MetaInfoGAIL:
+    """Meta-IL with a discriminator D(s, a), trained by the objective of InfoGAIL.
+
+    The policy pi(a | s, m) maximises the discriminator's logit and, so that m keeps its meaning,
+    lambda log q(m | tau) of each rollout; q ascends E log q(m | tau) (Li, Song and Ermon, 2017).
+    D sees no context: it is the imitation term and q that tie m to a demonstration.
+
+    Args:
+        model: with ``reward="gail"``; encoder and policy commonly from Meta-IL.
+        env: batch size ``[M K]``, with :class:`pemirl_trl.InferContext` over ``demonstrations``.
+        demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``; unlabelled.
+        config: of the training.
+
+    Raises:
+        ValueError: the model's reward is no GAIL discriminator.
+    """
+
+    def __init__(
+        self,
+        model: PEMIRLModel,
+        env: EnvBase,
+        demonstrations: TensorDictBase,
+        config: MetaInfoGAILConfig,
+    ) -> None:
+        if not isinstance(model.reward, GAILDiscriminator):
+            raise ValueError(
+                f'expected a model with reward="gail", got reward={model.config.reward!r}'
+            )
+        self.model, self.config = model, config
+        self.iterations = config.iterations
+        self.negatives = Negatives(config.replay_iterations)
+        self._collect = EpisodeCollector(env, model.policy, model.horizon)
+        self._batches = DiscriminatorBatches(
+            model, demonstrations, self.negatives, config.batch, encoder_gradient=False
+        )
+        self._discriminator_loss = DiscriminatorLoss(model.reward)
+        self._discriminator_optimizer = Adam(model.reward.parameters(), lr=config.discriminator_lr)
+        self._encoder_optimizer = Adam(model.encoder.parameters(), lr=config.encoder_lr)
+        self._improve_policy = PolicyImprovement(
+            model.policy, demonstrations, config.policy, config.rollouts_per_context
+        )
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps so far."""
+        return self._collect.env_steps
+
+    def iteration(self) -> dict[str, float]:
+        """Collect; D classifies; psi explains the rollouts; omega follows both."""
+        self._improve_policy.anneal(self._collect.progress(self.iterations))
+        rollouts = self._collect()
+        self.negatives.add(rollouts)
+        metrics = {"return/true": float(rollouts["next", "reward"].sum(1).mean())}
+        metrics |= self._update_discriminator_and_encoder(rollouts)
+        metrics |= self._improve_policy(rollouts, self._reward(rollouts))
+        return metrics
+
+    def _update_discriminator_and_encoder(self, rollouts: TensorDictBase) -> dict[str, float]:
+        c = self.config
+        contexts = rollouts.shape[0] // c.rollouts_per_context
+        for _ in range(c.discriminator_steps):
+            losses = self._discriminator_loss(self._batches.sample(c.replay_iterations))
+            descend(self._discriminator_optimizer, losses["loss_discriminator"])
+            # One rollout of each of some contexts: psi needs no groups.
+            rows = torch.randperm(contexts)[: c.info_contexts] * c.rollouts_per_context
+            encoder_loss = info_encoder_loss(self._log_q(rollouts[rows]))
+            descend(self._encoder_optimizer, encoder_loss)
+        metrics = {f"discriminator/{k}": float(v.detach()) for k, v in losses.items()}
+        return {**metrics, "info/log_q": -float(encoder_loss.detach())}
+
+    def _log_q(self, rollouts: TensorDictBase) -> Tensor:
+        """The posterior's log q(m | tau) of rollouts ``[N, T]``: ``[N]``, in nats."""
+        trajectories = rollouts.select("observation", "action")
+        trajectories.batch_size = rollouts.shape[:1]
+        return self.model.encoder.get_dist(trajectories).log_prob(rollouts["context"][:, 0])
+
+    @torch.no_grad()
+    def _reward(self, rollouts: TensorDictBase) -> Tensor:
+        """D's logit at each step, and T lambda log q(m | tau) at the last: ``[N, T, 1]``."""
+        scored = self.model.reward(rollouts.select(*self.model.reward.in_keys))
+        reward = scored["learned_reward"].clone()
+        log_q = self._log_q(rollouts).view(-1, self.config.rollouts_per_context)
+        bonus = normalized_within_context(log_q).view(-1, 1)
+        reward[:, -1] += self.config.info_coeff * bonus * reward.shape[1]
+        return reward
+
+    def components(self) -> dict[str, Any]:
+        """What a checkpoint holds."""
+        return {
+            "model": self.model,
+            "discriminator_optimizer": self._discriminator_optimizer,
+            "encoder_optimizer": self._encoder_optimizer,
+            "negatives": self.negatives,
+            "collector": self._collect,
+        }
