@@ -5,7 +5,7 @@
     python recipes/meta_train.py method=airl
     python recipes/meta_train.py training.info_coeff=0 model.context_dim=5 run_dir=runs/no_info
 
-Writes ``model.safetensors`` and, where the method starts from it, ``meta_il.safetensors`` (Meta-IL:
+Writes ``model.safetensors`` and, where the method has contexts, ``meta_il.safetensors`` (Meta-IL:
 a baseline, and what initialises the encoder) to ``run_dir``.
 """
 
@@ -58,8 +58,8 @@ def train_meta_il(config: DictConfig, folder: RunFolder) -> PEMIRLModel:
 def meta_train(
     config: DictConfig, folder: RunFolder, meta_il: PEMIRLModel | None = None
 ) -> PEMIRLModel:
-    """Meta-IL, where the method starts from it and it is not given; then the method."""
-    if meta_il is None and config.meta_il is not None:
+    """Meta-IL, where the method has contexts and it is not given; then the method."""
+    if meta_il is None and config.model.context_dim > 0:
         meta_il = train_meta_il(config, folder)
     torch.manual_seed(config.seed)
     demonstrations = load_demonstrations(config)
@@ -68,7 +68,7 @@ def meta_train(
         model.encoder.load_state_dict(meta_il.encoder.state_dict())
     if config.initial_policy == "meta_il":
         if meta_il is None:
-            raise ValueError("initial_policy=meta_il needs Meta-IL; got meta_il=null")
+            raise ValueError("initial_policy=meta_il needs contexts; got model.context_dim=0")
         model.policy.load_state_dict(meta_il.policy.state_dict())
     model.policy.log_scale.requires_grad_(config.learn_policy_scale)
     method = build(config, model, demonstrations)

@@ -126,7 +126,7 @@ def shared_meta_il(config: DictConfig) -> tuple[PEMIRLModel | None, Path]:
 
     None for a method without contexts.
     """
-    if config.meta_il is None:
+    if config.model.context_dim == 0:
         return None, Path(config.run_dir)
     sizes = {k: v for k, v in plain(config.model).items() if k != "reward"}
     given = {name: plain(config)[name] for name in META_IL_FIELDS}

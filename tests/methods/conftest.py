@@ -16,8 +16,12 @@ from torchrl.envs import EnvBase, TransformedEnv
 import pemirl_envs
 from pemirl_trl import InferContext, ModelConfig, PEMIRLModel, Standardize
 from pemirl_trl.methods import (
+    AIRL,
     PEMIRL,
+    AIRLConfig,
     BatchConfig,
+    MetaInfoGAIL,
+    MetaInfoGAILConfig,
     PEMIRLConfig,
     PolicyOptimization,
     PolicyOptimizationConfig,
@@ -128,26 +132,42 @@ class Problem:
         )
         return TransformedEnv(self.make(contexts * rollouts, **options), transform)
 
-    def pemirl(
+    def pemirl(self, seed: int = 0, *, model: PEMIRLModel | None = None, **options: Any) -> PEMIRL:
+        """Meta-training; see :meth:`_adversarial`."""
+        options = {"info_contexts": 4, **options}
+        return self._adversarial(PEMIRL, PEMIRLConfig, model or self.model(seed), **options)
+
+    def airl(self, seed: int = 0, *, model: PEMIRLModel | None = None, **options: Any) -> AIRL:
+        """Adversarial IRL on the contexts of an encoder that is not trained."""
+        return self._adversarial(AIRL, AIRLConfig, model or self.model(seed), **options)
+
+    def meta_infogail(
+        self, seed: int = 0, *, model: PEMIRLModel | None = None, **options: Any
+    ) -> MetaInfoGAIL:
+        """The baseline, from an encoder and a policy that know nothing."""
+        model = model or self.model(seed, reward="gail")
+        options = {"info_contexts": 4, **options}
+        return self._adversarial(MetaInfoGAIL, MetaInfoGAILConfig, model, **options)
+
+    def _adversarial(
         self,
-        seed: int = 0,
+        method: type,
+        config_type: type,
+        model: PEMIRLModel,
         *,
-        model: PEMIRLModel | None = None,
         contexts: int = 4,
         tasks: Any = None,
         env: dict[str, Any] | None = None,
         **config: Any,
-    ) -> PEMIRL:
-        """Meta-training, two rollouts per context, batches of 16 + 16 trajectories."""
-        model = model or self.model(seed)
+    ) -> Any:
+        """Two rollouts per context, batches of 16 + 16 trajectories."""
         defaults = {
             "rollouts_per_context": 2,
-            "info_contexts": 4,
             "batch": BatchConfig(trajectories=16, time_steps=5),
         }
-        config = PEMIRLConfig(**{**defaults, **config})
+        config = config_type(**{**defaults, **config})
         wrapped = self.env(model, contexts, config.rollouts_per_context, tasks, **(env or {}))
-        return PEMIRL(model, wrapped, self.demonstrations, config)
+        return method(model, wrapped, self.demonstrations, config)
 
     def policy_optimization(
         self, seed: int = 0, *, learned: bool = False, **config: Any

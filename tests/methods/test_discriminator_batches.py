@@ -117,6 +117,19 @@ def test_policy_transitions_are_as_they_were_stored(draw, negatives):
     assert (rows(policy).unsqueeze(1) == rows(stored)).all(-1).any(1).all()
 
 
+def test_a_policy_transition_has_the_current_policys_density_where_it_is_told_to(draw):
+    plain = sides(draw()[1])[1]
+    model, batch = draw(negative_log_prob="current")
+    _, policy = sides(batch)
+    gaussian = model.policy.gaussian
+    loc = gaussian.net(gaussian.standardize(policy["observation"]), policy["context"])
+    expected = Normal(loc, gaussian.log_scale.exp()).log_prob(policy["action"]).sum(-1)
+    torch.testing.assert_close(policy["action_log_prob"], expected.detach())
+    assert not policy["action_log_prob"].requires_grad
+    for key in (*TRANSITION, "context"):  # and nothing else is another
+        assert torch.equal(policy.get(key), plain.get(key))
+
+
 @pytest.mark.parametrize(
     ("last", "fraction", "newest", "legal"),
     [(4, 1.0, 20, {3}), (2, 0.25, 5, {2, 3}), (4, 0.5, 10, {0, 1, 2, 3}), (1, 0.0, 20, {3})],

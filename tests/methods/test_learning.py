@@ -4,7 +4,14 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from pemirl_trl.methods import BatchConfig, MetaIL, MetaILConfig, TRPOConfig, train
+from pemirl_trl.methods import (
+    BatchConfig,
+    MetaIL,
+    MetaILConfig,
+    PolicyConfig,
+    TRPOConfig,
+    train,
+)
 
 SEEDS = (3, 4, 5)  # the settings below were chosen on others
 GOALS = 20  # unseen, per seed

@@ -15,8 +15,10 @@ import torch
 
 from pemirl_trl.checkpoint import TrainingCheckpoint
 from pemirl_trl.methods import (
+    AveragedReward,
     MetaIL,
     MetaILConfig,
+    PolicyConfig,
     TrainingDiverged,
     train,
 )
@@ -33,6 +35,26 @@ def pemirl(problem, seed):
     # Fewer iterations are replayed than run: the ring of negatives turns over.
     config = {"replay_iterations": 3, "gradient_penalty_coeff": 0.01}
     return problem.pemirl(seed, iterations=ITERATIONS, **config)
+
+
+def annealed_pemirl(problem, seed):
+    policy = PolicyConfig(final_imitation_coeff=1.0, final_scale=0.3)
+    return problem.pemirl(seed, iterations=ITERATIONS, reward_steps=2, policy=policy)
+
+
+def averaged(problem, seed):
+    model = problem.model(seed)
+    method = problem.pemirl(model=model, iterations=ITERATIONS, reward_steps=2)
+    return AveragedReward(method, model, decay=0.7)
+
+
+def airl(problem, seed):
+    model = problem.model(seed, context_dim=0)
+    return problem.airl(model=model, iterations=ITERATIONS, reward_steps=2)
+
+
+def meta_infogail(problem, seed):
+    return problem.meta_infogail(seed, iterations=ITERATIONS, discriminator_steps=2)
 
 
 def true_reward(problem, seed):
@@ -67,7 +89,20 @@ def run(method, seed, folder, until=None):
     return history
 
 
-@pytest.mark.parametrize("build", [meta_il, pemirl, true_reward, learned_reward, annealed])
+RESUMED = [
+    meta_il,
+    pemirl,
+    annealed_pemirl,
+    averaged,
+    airl,
+    meta_infogail,
+    true_reward,
+    learned_reward,
+    annealed,
+]
+
+
+@pytest.mark.parametrize("build", RESUMED)
 def test_a_resumed_run_is_bit_identical(build, reach, state, differences, tmp_path):
     straight = build(reach, 1)
     expected = run(straight, 10, tmp_path / "straight")

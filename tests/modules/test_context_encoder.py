@@ -154,8 +154,8 @@ def test_no_context_is_certain_and_has_nothing_to_learn():
 
 
 def test_policy_and_reward_without_context_are_functions_of_the_state(float64):
-    batch = TensorDict({"observation": torch.randn(N, T, S)}, [N, T])
-    batch["next"] = TensorDict({"observation": torch.randn(N, T, S)}, [N, T])
+    steps = {"observation": torch.randn(N, T, S), "next": {"observation": torch.randn(N, T, S)}}
+    batch = TensorDict(steps, [N])
     batch["context"] = NoContext().get_dist(batch).mean.unsqueeze(1).expand(N, T, 0)
     policy, reward = ContextPolicy(S, A, 0), ShapedReward(S, 0, gamma=0.5)
     assert torch.equal(policy.get_dist(batch).mean, policy.gaussian.net(batch["observation"]))

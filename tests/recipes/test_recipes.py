@@ -1,21 +1,26 @@
 """The recipes: once as a user runs them, in a process of its own; then stage by stage."""
 
-import importlib
 import json
 import os
-import pathlib
+import re
 import subprocess
 import sys
 
 import pytest
-from hydra import compose, initialize_config_dir
+import torch
 from hydra.errors import HydraException
 from imageio_ffmpeg import get_ffmpeg_exe
 
+from pemirl_trl.checkpoint import read_metadata
 from pemirl_trl.evaluation import read
+from pemirl_trl.methods import AveragedReward
+from pemirl_trl.modules import GAILDiscriminator, NoContext
+from pemirl_trl.objectives import InfoLoss
 from pemirl_trl.pretrained import load_model
 
-RECIPES = pathlib.Path(__file__).parents[2] / "recipes"
+from .conftest import RECIPES, config
+
+WITHOUT_ADAPTATION = {("one_shot", "left"), ("policy_generalisation", "right")}
 SMOKE = ("preset=smoke", "threads=1", "run_dir=smoke")
 
 
@@ -29,18 +34,6 @@ def run(name, *overrides, cwd):
     )
 
 
-@pytest.fixture
-def recipe(monkeypatch):
-    """A module of recipes/, imported as its scripts import each other."""
-    monkeypatch.syspath_prepend(str(RECIPES))
-    return importlib.import_module
-
-
-def config(name, *overrides):
-    with initialize_config_dir(str(RECIPES / "conf"), version_base="1.3"):
-        return compose(name, list(overrides))
-
-
 @pytest.fixture(scope="module")
 def smoke(tmp_path_factory):
     """A finished quickstart, run by the user's command: its folder, and what it printed."""
@@ -52,7 +45,7 @@ def smoke(tmp_path_factory):
 
 def test_quickstart_prints_a_table_and_leaves_its_files(smoke):
     cwd, printed = smoke
-    assert "| point_maze right | reward_adaptation | x_in_0.1_0.4 |" in printed
+    assert re.search(r"pemirl_robust +reward_adaptation right +x_in_0\.1_0\.4 +-\d+\.\d\d ", printed)
     for name in (
         "config.yaml",
         "versions.json",
@@ -65,26 +58,25 @@ def test_quickstart_prints_a_table_and_leaves_its_files(smoke):
         "metrics/scalars",
     ):
         assert (cwd / "smoke" / name).exists(), name
-    results = [read(file) for file in (cwd / "smoke/results").glob("*.json")]
-    assert {(r.method, r.setting) for r in results} == {
-        ("meta_il", "one_shot"),
-        ("meta_il", "policy_generalisation"),
-        ("pemirl_blurred", "one_shot"),
-        ("pemirl_blurred", "policy_generalisation"),
-        ("pemirl_blurred", "reward_adaptation"),
+    results = {file.stem: read(file) for file in (cwd / "smoke/results").glob("*.json")}
+    assert {row: {(s.setting, s.variant) for s in r.scores} for row, r in results.items()} == {
+        "meta_il": WITHOUT_ADAPTATION,
+        "pemirl_robust": WITHOUT_ADAPTATION | {("reward_adaptation", "right")},
     }
-    assert {len(r.returns["per_task"]) for r in results if r.goals == "all"} == {30}
-    assert all(r.config["preset"] == "smoke" for r in results)
+    scores = [s for r in results.values() for s in r.scores]
+    assert {len(s.per_task) for s in scores if s.goals == "all"} == {30}
+    assert all(r.config["preset"] == "smoke" for r in results.values())
+    assert results["pemirl_robust"].curves.keys() == {"pemirl_robust", "adaptation"}
 
 
 def test_a_finished_run_is_not_trained_again(smoke, recipe, monkeypatch):
     cwd, _ = smoke
     monkeypatch.chdir(cwd)
     weights = (cwd / "smoke/model.safetensors").read_bytes()
-    curve = (cwd / "smoke/curves/pemirl_blurred.json").read_text()
+    curve = (cwd / "smoke/curves/pemirl_robust.json").read_text()
     recipe("quickstart").quickstart(config("quickstart", *SMOKE))
     assert (cwd / "smoke/model.safetensors").read_bytes() == weights
-    assert (cwd / "smoke/curves/pemirl_blurred.json").read_text() == curve
+    assert (cwd / "smoke/curves/pemirl_robust.json").read_text() == curve
     assert [steps for steps, _ in json.loads(curve)] == [800, 1600]
 
 
@@ -110,8 +102,48 @@ def test_stages_compose(smoke, recipe, monkeypatch):
     evaluated = config("evaluate", "evaluation.episodes=1", "run_dir=evaluated", "logger=null")
     runs = (cwd / "smoke", cwd / "adapted")
     results = recipe("evaluate").evaluate(evaluated, folder(evaluated), *runs)
-    assert len(results) == len(list((cwd / "evaluated/results").glob("*.json"))) == 10
-    assert {r.env_steps["adaptation"] for r in results} == {0, 6000}
+    written = {file.stem for file in (cwd / "evaluated/results").glob("*.json")}
+    assert {r.row for r in results} == written == {"meta_il", "pemirl_robust"}
+    steps = {s.env_steps["adaptation"] for r in results for s in r.scores}
+    assert steps == {0, 6000}
+
+
+@pytest.mark.parametrize("method", ["pemirl", "airl", "meta_infogail", "pemirl_no_info"])
+def test_every_method_is_built_and_runs(method, recipe, tmp_path, monkeypatch):
+    """The default, pemirl_robust, is what the quickstart ran."""
+    monkeypatch.chdir(tmp_path)
+    few = ("training.batch.trajectories=10", "meta_il.steps=10")
+    values = config("meta_train", f"method={method}", *SMOKE, *few, "logger=null")
+    trained = recipe("meta_train").meta_train(values, recipe("run_folder").RunFolder(values))
+    model = load_model("smoke/model.safetensors")
+    for name, value in trained.state_dict().items():
+        assert torch.equal(model.state_dict()[name], value), name
+    facts = read_metadata("smoke/model.safetensors")
+    assert (facts["method"], facts["env_steps"]) == (method, "1600")
+    # Meta-IL comes first for whoever has contexts.
+    assert isinstance(model.encoder, NoContext) == (method == "airl")
+    assert os.path.exists("smoke/meta_il.safetensors") == (method != "airl")
+    assert isinstance(model.reward, GAILDiscriminator) == (method == "meta_infogail")
+    if method != "airl":
+        before = load_model("smoke/meta_il.safetensors").encoder.state_dict()
+        after = model.encoder.state_dict()
+        still = all(torch.equal(after[name], value) for name, value in before.items())
+        assert still == (method == "pemirl_no_info")
+
+
+def test_the_options_of_a_method_reach_it(recipe):
+    """An averaged reward; the information term of the public code."""
+    values = config(
+        "meta_train", "preset=smoke", "reward_average_decay=0.9", "info_estimator=public_code"
+    )
+    demonstrations = recipe("meta_train").load_demonstrations(values)
+    model = recipe("meta_train").new_model(values, demonstrations)
+    method = recipe("methods").build(values, model, demonstrations)
+    assert isinstance(method, AveragedReward)
+    assert method.model is model
+    assert isinstance(method.method._info_loss, recipe("public_code").PublicCodeInfoLoss)
+    plain = recipe("methods").build(config("meta_train", "preset=smoke"), model, demonstrations)
+    assert isinstance(plain._info_loss, InfoLoss)
 
 
 @pytest.mark.skipif(
@@ -136,7 +168,7 @@ def test_a_folder_of_another_configuration_is_refused(smoke, recipe, monkeypatch
 
 @pytest.mark.parametrize(
     ("override", "message"),
-    [("pemirl.no_such_key=1", "no_such_key"), ("method=gail", "pemirl_blurred")],
+    [("training.no_such_key=1", "no_such_key"), ("method=gail", "pemirl_robust")],
 )
 def test_hydra_names_what_there_is(override, message):
     with pytest.raises(HydraException, match=message):
@@ -146,16 +178,25 @@ def test_hydra_names_what_there_is(override, message):
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("+pemirl.typo=1", r"unknown keys \['typo'\] for PEMIRLConfig; legal are"),
+        ("+training.typo=1", r"unknown keys \['typo'\] for PEMIRLConfig; legal are"),
         ("demonstrations=nowhere.safetensors", "no file nowhere.safetensors"),
         ("environment=point_maze/up", "unknown task 'point_maze/up'; expected one of"),
         ("meta_il.steps=15", "steps"),
+        ("algorithm=bc", r"unknown algorithm 'bc'; choose one of \['airl', 'meta_infogail', 'pemirl'"),
+        ("model.reward=airl", r"unknown reward 'airl'; choose one of \('shaped', 'gail'\)"),
     ],
 )
 def test_bad_values_are_explained(recipe, tmp_path, monkeypatch, override, message):
     monkeypatch.chdir(tmp_path)
     values = config("meta_train", *SMOKE, "logger=null", override)
     with pytest.raises((ValueError, FileNotFoundError), match=message):
+        recipe("meta_train").meta_train(values, recipe("run_folder").RunFolder(values))
+
+
+def test_a_policy_of_meta_il_needs_contexts(recipe, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    values = config("meta_train", "method=airl", "initial_policy=meta_il", *SMOKE, "logger=null")
+    with pytest.raises(ValueError, match=r"needs contexts; got model\.context_dim=0"):
         recipe("meta_train").meta_train(values, recipe("run_folder").RunFolder(values))
 
 

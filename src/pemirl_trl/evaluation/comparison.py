@@ -113,7 +113,7 @@ def interval_plot(
     shown = [row for row in rows if scores[row] or (row in column.paper and any(scores.values()))]
     if not shown:
         raise ValueError(f"no score of {column.heading!r} in rows {list(rows)}")
-    figure, axes = _canvas((6.4, 0.42 * len(shown) + 1.4))
+    figure, axes = _canvas((6.8, 0.36 * len(shown) + 1.4))
     for y, row in enumerate(shown):
         colour = _COLOURS[y % len(_COLOURS)]
         if scores[row]:
@@ -130,7 +130,8 @@ def interval_plot(
     expert = next(score.expert for of_row in scores.values() for score in of_row)
     axes.axvline(expert, color="0.35", linewidth=1, linestyle="--", label=f"expert ({expert:.2f})")
     axes.set_yticks(range(len(shown)), labels=[rows[row] for row in shown])
-    axes.set(xlabel="true return", title=title, ylim=(len(shown) - 0.5, -0.5))
+    axes.set(xlabel="true return", ylim=(len(shown) - 0.5, -0.5))
+    figure.suptitle(title, fontsize=11)  # centred on the figure: long labels shift the axes
     axes.legend(facecolor="white", edgecolor="none", fontsize=9)
     return figure
 

@@ -20,6 +20,7 @@ from pemirl_trl.methods.policy_improvement import (
     PolicyImprovement,
     learned_policy_reward,
 )
+from pemirl_trl.methods.schedule import log_linear
 from pemirl_trl.modules import AIRLDiscriminator, PEMIRLModel
 from pemirl_trl.objectives import DiscriminatorLoss, InfoLoss
 from pemirl_trl.objectives.info import Summand
@@ -37,6 +38,10 @@ class PEMIRLConfig:
             log pi.
         reward_steps: Adam steps on psi, theta and phi per iteration.
         reward_lr, encoder_lr: of theta and phi, and of psi.
+        final_reward_lr: to which ``reward_lr`` shrinks, log-linearly, while the policy is annealed
+            (``policy.anneal_from``); None holds it. An extension of the paper: next to a policy
+            that has become precise, classification says little about states farther off, and a
+            reward that keeps learning forgets them.
         replay_iterations: how many iterations of rollouts serve as negatives.
         batch: of the discriminator.
         gradient_penalty_coeff: R1 penalty on r; an extension of the paper, 0 is off.
@@ -52,6 +57,7 @@ class PEMIRLConfig:
     policy_reward: PolicyReward = "state"
     reward_steps: int = 10
     reward_lr: float = 1e-3
+    final_reward_lr: float | None = None
     encoder_lr: float = 1e-4
     replay_iterations: int = 20
     batch: BatchConfig = field(default_factory=BatchConfig)
@@ -124,7 +130,7 @@ class PEMIRL:
 
     def iteration(self) -> dict[str, float]:
         """One pass of Algorithm 1's loop, in its order."""
-        self._improve_policy.anneal(self._collect.progress(self.iterations))
+        self._anneal(self._collect.progress(self.iterations))
         # tau_E ~ D_E, m ~ q(m|tau_E), tau ~ pi(tau|m): the environment draws m at its reset.
         rollouts = self._collect()
         self.negatives.add(rollouts)
@@ -135,6 +141,14 @@ class PEMIRL:
         reward = learned_policy_reward(self.model.reward, rollouts, self.config.policy_reward)
         metrics |= self._improve_policy(rollouts, reward)
         return metrics
+
+    def _anneal(self, progress: float) -> None:
+        c = self.config
+        self._improve_policy.anneal(progress)
+        if c.final_reward_lr is not None:
+            begin = c.policy.anneal_from
+            lr = log_linear(c.reward_lr, c.final_reward_lr, progress, begin=begin)
+            self._reward_optimizer.param_groups[0]["lr"] = lr
 
     def _update_encoder_and_reward(self, rollouts: TensorDictBase) -> dict[str, float]:
         c = self.config
