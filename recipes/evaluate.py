@@ -23,7 +23,7 @@ from scoring import Scorer
 
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
 from pemirl_trl.checkpoint import load_weights, read_metadata
-from pemirl_trl.evaluation import Result, Score, environment_facts
+from pemirl_trl.evaluation import Result, Score, environment_facts, returns_table
 from pemirl_trl.pretrained import load_model
 
 
@@ -61,7 +61,7 @@ def evaluate(
     ]
     for result in results:
         result.write(Path(config.results) / f"{result.row}.json")
-    say(_table(results))
+    say(returns_table(results))
     draw_reward_maps(config, model, demonstrations, folder.file("figures/reward_maps.png"))
     draw_learning_curve(
         config,
@@ -99,18 +99,6 @@ def _scores(
     return _transfer(config, model, demonstrations, steps) + Scorer(config, demonstrations).scores(
         "reward_adaptation", config.test_environment, model, adapted, used
     )
-
-
-def _table(results: list[Result]) -> str:
-    lines = [f"{'':16}{'setting':24}{'goals':14}{'return':>8}{'normalised':>12}{'expert':>8}"]
-    for result in results:
-        for s in result.scores:
-            where = f"{s.setting} {s.variant}"
-            lines.append(
-                f"{result.row:16}{where:24}{s.goals:14}{s.mean:8.2f}{s.normalised:12.3f}"
-                f"{s.expert:8.2f}"
-            )
-    return "\n".join(lines)
 
 
 def read_curve(run: Path, stage: str) -> list[list[float]]:

@@ -55,7 +55,9 @@ def test_each_network_has_one_optimiser(name, frozen, reach):
     method = BUILD[name](reach, **settings)
     before = weights(method.model)
     after, _ = run(method)
-    moved = {key.split(".")[0] for key, value in after.items() if not torch.equal(value, before[key])}
+    moved = {
+        key.split(".")[0] for key, value in after.items() if not torch.equal(value, before[key])
+    }
     assert moved == {"policy", *FREEZE[name]} - {frozen}
 
 

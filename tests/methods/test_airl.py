@@ -19,7 +19,10 @@ def test_it_is_pemirl_without_the_information_term(reach, state, differences):
             return draw(rollouts)
 
     pemirl._some_contexts = aside
-    (expected, pemirl), (metrics, airl) = after(pemirl), after(reach.airl(gradient_penalty_coeff=0.1))
+    (expected, pemirl), (metrics, airl) = (
+        after(pemirl),
+        after(reach.airl(gradient_penalty_coeff=0.1)),
+    )
     assert [m.keys() - expected[0].keys() for m in metrics] == [set(), set()]
     assert metrics == [{k: e[k] for k in m} for e, m in zip(expected, metrics, strict=True)]
     theirs = {k: v for k, v in state(pemirl).items() if not k.startswith("encoder_optimizer")}

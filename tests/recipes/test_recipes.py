@@ -45,7 +45,9 @@ def smoke(tmp_path_factory):
 
 def test_quickstart_prints_a_table_and_leaves_its_files(smoke):
     cwd, printed = smoke
-    assert re.search(r"pemirl_robust +reward_adaptation right +x_in_0\.1_0\.4 +-\d+\.\d\d ", printed)
+    assert re.search(
+        r"pemirl_robust +reward_adaptation right +x_in_0\.1_0\.4 +-\d+\.\d\d ", printed
+    )
     for name in (
         "config.yaml",
         "versions.json",
@@ -182,7 +184,10 @@ def test_hydra_names_what_there_is(override, message):
         ("demonstrations=nowhere.safetensors", "no file nowhere.safetensors"),
         ("environment=point_maze/up", "unknown task 'point_maze/up'; expected one of"),
         ("meta_il.steps=15", "steps"),
-        ("algorithm=bc", r"unknown algorithm 'bc'; choose one of \['airl', 'meta_infogail', 'pemirl'"),
+        (
+            "algorithm=bc",
+            r"unknown algorithm 'bc'; choose one of \['airl', 'meta_infogail', 'pemirl'",
+        ),
         ("model.reward=airl", r"unknown reward 'airl'; choose one of \('shaped', 'gail'\)"),
     ],
 )

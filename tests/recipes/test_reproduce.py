@@ -18,7 +18,12 @@ SMOKE = (
     "logger=null",
     "evaluation.episodes=1",
     "meta_il.steps=10",
-    "+report={episodes: 1, resolution: 6, epic_transitions: 16, epic_samples: 8, features: 8}",
+    "++report={episodes: 1, resolution: 6, epic_transitions: 16, epic_samples: 8, features: 8}",
+)
+ONE_SHOT = (
+    "measure_reward=false",
+    "measure.policy_generalisation=[]",
+    "measure.reward_adaptation=[]",
 )
 
 
@@ -72,7 +77,12 @@ def test_rows_run_once_and_share_demonstrations_and_meta_il(run, tmp_path):
     result = read(output)
     assert json.loads(output.read_text())["schema"] == 2
     assert result.scores == written.scores
-    assert (result.table, result.row, result.seed, result.split) == ("point_maze", "pemirl", 0, "test")
+    assert (result.table, result.row, result.seed, result.split) == (
+        "point_maze",
+        "pemirl",
+        0,
+        "test",
+    )
     assert {(s.setting, s.variant, len(s.per_task)) for s in result.scores if s.goals == "all"} == {
         ("one_shot", "left", 30),
         ("policy_generalisation", "right", 30),
@@ -91,10 +101,10 @@ def test_rows_run_once_and_share_demonstrations_and_meta_il(run, tmp_path):
     assert {file.name for file in demonstrations} == {"train.safetensors", "test.safetensors"}
     before = [stamps(shared, pattern) for pattern in ("t*.safetensors", "checkpoints/**/*")]
     assert all(before)
-    other = run("pemirl_no_info", "measure_reward=false")
+    other = run("pemirl_no_info", *ONE_SHOT)
     assert [stamps(shared, pattern) for pattern in ("t*.safetensors", "checkpoints/**/*")] == before
     assert len(list((shared / "meta_il").iterdir())) == 1
-    assert other.seconds["meta-il"] == pytest.approx(result.seconds["meta-il"], abs=0.5)
+    assert {s.setting for s in other.scores} == {"one_shot"}
     assert other.reward == {}
 
 

@@ -1,8 +1,10 @@
-"""Results, statistics and reward quality; figures are in :mod:`pemirl_trl.evaluation.figures`.
+"""Results, statistics, tables and reward quality.
 
-That module is not imported here, since it needs matplotlib.
+Figures are in :mod:`pemirl_trl.evaluation.figures` and :mod:`pemirl_trl.evaluation.comparison`,
+which are not imported here, since they need matplotlib.
 """
 
+from pemirl_trl.evaluation.convergence import Stage, convergence_table, steps_to_converge
 from pemirl_trl.evaluation.results import (
     SETTINGS,
     Result,
@@ -48,23 +50,40 @@ from pemirl_trl.evaluation.statistics import (
     spearman,
     t_interval,
 )
+from pemirl_trl.evaluation.tables import (
+    Column,
+    by_seed,
+    cost_table,
+    improvement_table,
+    provenance,
+    returns_table,
+    reward_table,
+    scores_of,
+    seeds_table,
+)
 
 __all__ = [
     "SETTINGS",
+    "Column",
     "Interval",
     "Measure",
     "Result",
     "RewardFunction",
     "RewardReport",
     "Score",
+    "Stage",
     "argmax_error",
+    "by_seed",
     "canonicalise_epic",
     "canonicalise_feasible",
+    "convergence_table",
+    "cost_table",
     "distance_to_goal",
     "environment_facts",
     "epic_distance",
     "episode_returns",
     "feasible_distance",
+    "improvement_table",
     "independent_samples",
     "iqm",
     "iqm_interval",
@@ -74,15 +93,21 @@ __all__ = [
     "pearson_distance",
     "position_grid",
     "probability_of_improvement",
+    "provenance",
     "radial_basis",
     "read",
     "read_all",
+    "returns_table",
     "reward_on_grid",
     "reward_report",
+    "reward_table",
+    "scores_of",
+    "seeds_table",
     "shaped_reward_of",
     "shaping_subspace",
     "spearman",
     "spearman_with_distance",
     "state_reward_of",
+    "steps_to_converge",
     "t_interval",
 ]
