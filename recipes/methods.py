@@ -59,9 +59,12 @@ def build(config: DictConfig, model: PEMIRLModel, demonstrations: DemonstrationD
 
 def _pemirl(config: DictConfig, model: PEMIRLModel, env: Any, trajectories: Any) -> Method:
     settings = typed(PEMIRLConfig, config.training)
-    other = None
-    if config.info_estimator != "lemma2":
-        other = PublicCodeInfoLoss(model, trajectories, settings)
+    if config.info_estimator not in ("lemma2", "public_code"):
+        raise ValueError(
+            f"unknown info_estimator {config.info_estimator!r}; choose lemma2 or public_code"
+        )
+    public_code = config.info_estimator == "public_code"
+    other = PublicCodeInfoLoss(model, trajectories, settings) if public_code else None
     return PEMIRL(model, env, trajectories, settings, info_loss=other)
 
 

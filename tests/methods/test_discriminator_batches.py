@@ -130,6 +130,11 @@ def test_a_policy_transition_has_the_current_policys_density_where_it_is_told_to
         assert torch.equal(policy.get(key), plain.get(key))
 
 
+def test_an_unknown_density_is_refused():
+    with pytest.raises(ValueError, match=r"'mixture'; choose one of \('collection', 'current'\)"):
+        BatchConfig(negative_log_prob="mixture")
+
+
 @pytest.mark.parametrize(
     ("last", "fraction", "newest", "legal"),
     [(4, 1.0, 20, {3}), (2, 0.25, 5, {2, 3}), (4, 0.5, 10, {0, 1, 2, 3}), (1, 0.0, 20, {3})],

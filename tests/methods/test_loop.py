@@ -39,7 +39,8 @@ def pemirl(problem, seed):
 
 def annealed_pemirl(problem, seed):
     policy = PolicyConfig(final_imitation_coeff=1.0, final_scale=0.3)
-    return problem.pemirl(seed, iterations=ITERATIONS, reward_steps=2, policy=policy)
+    config = {"iterations": ITERATIONS, "reward_steps": 2, "final_reward_lr": 1e-5}
+    return problem.pemirl(seed, policy=policy, **config)
 
 
 def averaged(problem, seed):

@@ -153,6 +153,16 @@ def test_a_weight_of_the_information_term_reaches_theta(reach, differences):
     assert differences(without, reward_after(info_coeff=0.1))
 
 
+def test_the_rewards_learning_rate_fades_out_while_the_policy_is_annealed(reach):
+    policy = PolicyConfig(anneal_from=0.5)
+    method = reach.pemirl(iterations=5, reward_lr=1e-2, final_reward_lr=1e-4, policy=policy)
+    rates = []
+    for _ in range(5):
+        method.iteration()
+        rates.append(method._reward_optimizer.param_groups[0]["lr"])
+    assert rates == pytest.approx([1e-2, 1e-2, 1e-2, 1e-3, 1e-4])
+
+
 def test_the_policy_takes_its_steps_on_point_maze(maze):
     method = maze.pemirl(contexts=4, rollouts_per_context=3)
     _, metrics = run(method, 10)

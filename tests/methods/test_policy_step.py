@@ -50,6 +50,15 @@ def test_a_step_raises_the_probability_of_good_actions(reach):
     assert gaussian(model.policy, rollouts).loc.mean() > before + 0.05
 
 
+def test_advantages_are_standardised_over_what_the_configuration_says(reach):
+    for group in ("batch", "context"):
+        _, rollouts, step = collected(reach, TRPOConfig(standardize=group))
+        rollouts["next", "reward"][:4] *= 100.0  # the four rollouts of the first context
+        advantage = step.advantage(rollouts)["advantage"].view(4, -1)
+        deviation = advantage.square().mean(1).sqrt()
+        assert bool((deviation[0] > 10 * deviation[1:]).all()) == (group == "batch")
+
+
 def test_the_extra_loss_is_inside_the_trust_region(reach):
     model, rollouts, step = collected(reach)
     rollouts["next", "reward"] = torch.zeros_like(rollouts["next", "reward"])

@@ -29,7 +29,9 @@ def episode():
 
 def constant_value(value):
     return TensorDictModule(
-        lambda observation: torch.full_like(observation, value), ["observation"], ["state_value"]
+        lambda observation: torch.full_like(observation[..., :1], value),
+        ["observation"],
+        ["state_value"],
     )
 
 
@@ -87,6 +89,24 @@ def test_standardised_advantages_and_another_reward_key():
     batch["elsewhere"] = batch["next"].pop("reward")
     values = FiniteHorizonAdvantage(reward_key="elsewhere", **kwargs)(batch)["advantage"]
     assert torch.allclose(values, (raw - raw.mean()) / raw.std(correction=0))
+
+
+def test_advantages_standardised_by_context():
+    batch = scored()
+    reward, scale = batch["next", "reward"], torch.tensor([1.0, 30.0, 0.1]).repeat_interleave(K)
+    batch["next", "reward"] = reward * scale.view(-1, 1, 1)  # one task outweighs the others
+    kwargs = {"rollouts_per_context": K, "value": constant_value(1.0)}
+    raw = FiniteHorizonAdvantage(standardize=None, **kwargs)(batch.copy())["advantage"]
+    values = FiniteHorizonAdvantage(standardize="context", **kwargs)(batch)["advantage"]
+    for m in range(M):
+        own = raw[m * K : (m + 1) * K]
+        expected = (own - own.mean()) / own.std(correction=0)
+        assert torch.allclose(values[m * K : (m + 1) * K], expected)
+
+
+def test_an_unknown_standardisation_is_refused():
+    with pytest.raises(ValueError, match=r"standardize is True; .*\('batch', 'context'\)"):
+        FiniteHorizonAdvantage(standardize=True)
 
 
 def test_the_map_of_observations_is_applied_before_the_fit():

@@ -188,6 +188,7 @@ def test_hydra_names_what_there_is(override, message):
             "algorithm=bc",
             r"unknown algorithm 'bc'; choose one of \['airl', 'meta_infogail', 'pemirl'",
         ),
+        ("info_estimator=mine", "unknown info_estimator 'mine'; choose lemma2 or public_code"),
         ("model.reward=airl", r"unknown reward 'airl'; choose one of \('shaped', 'gail'\)"),
     ],
 )

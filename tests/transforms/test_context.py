@@ -7,7 +7,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import Compose, RewardSum, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from pemirl_trl.modules import ContextEncoder, ContextPolicy
+from pemirl_trl.modules import ContextEncoder, ContextPolicy, NoContext
 from pemirl_trl.transforms import InferContext
 
 from .toy import Line
@@ -55,6 +55,17 @@ def test_the_context_is_that_of_the_demonstration_drawn(make, encoder, demonstra
     assert torch.allclose(start["context"], encoder.get_dist(demonstrations[index]).mean)
     assert start["context"].shape == (N, D)
     assert not start["context"].requires_grad
+
+
+def test_without_contexts_demonstrations_are_drawn_all_the_same(demonstrations, tasks):
+    transform = InferContext(NoContext(), demonstrations, rollouts_per_context=K, tasks=tasks)
+    env = TransformedEnv(Line(N, T), transform)
+    check_env_specs(env)
+    start = env.reset()
+    assert start["context"].shape == (N, 0)
+    assert torch.equal(start["task", "goal"], tasks["goal"][start["demonstration"]])
+    rollouts = env.rollout(T, ContextPolicy(2, 1, 0))
+    assert rollouts["context"].shape == (N, T, 0)
 
 
 def test_the_rollouts_of_a_group_share_one_draw(make):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -12,6 +12,7 @@ from torch import Tensor
 from pemirl_trl.data import Negatives
 from pemirl_trl.modules import PEMIRLModel
 
+NegativeLogProb = Literal["collection", "current"]
 FIELDS = ("observation", ("next", "observation"), "action", "context")
 
 
@@ -36,9 +37,16 @@ class BatchConfig:
     trajectories: int = 200
     time_steps: int = 10
     current_fraction: float = 0.5
-    negative_log_prob: Literal["collection", "current"] = "collection"
+    negative_log_prob: NegativeLogProb = "collection"
     jitter_fraction: float = 0.0
     jitter_scale: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.negative_log_prob not in get_args(NegativeLogProb):
+            raise ValueError(
+                f"unknown negative_log_prob {self.negative_log_prob!r}; choose one of "
+                f"{get_args(NegativeLogProb)}"
+            )
 
 
 class DiscriminatorBatches:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -26,6 +26,8 @@ from pemirl_trl.functional import (
     time_polynomial_features,
 )
 from pemirl_trl.objectives.common import KeyedLoss
+
+AdvantageGroup = Literal["batch", "context"]
 
 
 class ValueLoss(KeyedLoss):
@@ -85,6 +87,9 @@ class FiniteHorizonAdvantage:
         standardize: over what advantages get zero mean and unit deviation: the ``"batch"``, the
             rollouts of each ``"context"``, so that no task's returns outweigh the others', or None.
         reward_key: which reward to use.
+
+    Raises:
+        ValueError: ``standardize`` is none of these.
     """
 
     def __init__(
@@ -95,9 +100,14 @@ class FiniteHorizonAdvantage:
         rollouts_per_context: int = 1,
         value: TensorDictModuleBase | None = None,
         observation_map: Callable[[Tensor], Tensor] = lambda x: x,
-        standardize: Literal["batch", "context"] | None = "batch",
+        standardize: AdvantageGroup | None = "batch",
         reward_key: NestedKey = ("next", "reward"),
     ) -> None:
+        if standardize not in (None, *get_args(AdvantageGroup)):
+            raise ValueError(
+                f"standardize is {standardize!r}; expected None or one of "
+                f"{get_args(AdvantageGroup)}"
+            )
         self.gamma = gamma
         self.lmbda = lmbda
         self.rollouts_per_context = rollouts_per_context
