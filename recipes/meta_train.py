@@ -64,12 +64,11 @@ def meta_train(
     torch.manual_seed(config.seed)
     demonstrations = load_demonstrations(config)
     model = new_model(config, demonstrations)
-    if meta_il is not None:
-        model.encoder.load_state_dict(meta_il.encoder.state_dict())
-    if config.initial_policy == "meta_il":
-        if meta_il is None:
-            raise ValueError("initial_policy=meta_il needs contexts; got model.context_dim=0")
-        model.policy.load_state_dict(meta_il.policy.state_dict())
+    for name in ("encoder", "policy"):
+        if config[f"initial_{name}"] == "meta_il":
+            if meta_il is None:
+                raise ValueError(f"initial_{name}=meta_il needs contexts; got context_dim=0")
+            model.get_submodule(name).load_state_dict(meta_il.get_submodule(name).state_dict())
     model.policy.log_scale.requires_grad_(config.learn_policy_scale)
     method = build(config, model, demonstrations)
     folder.train(config.method, method, show="return/true")
