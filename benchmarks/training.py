@@ -44,31 +44,30 @@ Contender = Callable[[], Seconds]
 
 
 class TimedPEMIRL(PEMIRL):
-    """PEMIRL that keeps the seconds of its updates, and the actions of its last iteration."""
+    """PEMIRL that keeps the seconds of its parts, and the actions of its last iteration."""
 
     seconds: Seconds
     actions: Tensor  # [N, T, A]
+    _updated: tuple[float, float]  # when encoder and reward began and finished
 
     def iteration(self) -> dict[str, float]:
         """One iteration; ``seconds`` holds the parts of the last one."""
-        self.seconds = {}
         start = time.perf_counter()
         metrics = super().iteration()
-        updates = sum(self.seconds.values())
-        self.seconds["collection"] = time.perf_counter() - start - updates
+        end = time.perf_counter()
+        began, finished = self._updated
+        self.seconds = {
+            "encoder and reward": finished - began,
+            "policy": end - finished,
+            "collection": began - start,
+        }
         return metrics
 
     def _update_encoder_and_reward(self, rollouts: TensorDictBase) -> dict[str, float]:
-        start = time.perf_counter()
-        metrics = super()._update_encoder_and_reward(rollouts)
-        self.seconds["encoder and reward"] = time.perf_counter() - start
-        return metrics
-
-    def _update_policy(self, rollouts: TensorDictBase) -> dict[str, float]:
         self.actions = rollouts["action"]
-        start = time.perf_counter()
-        metrics = super()._update_policy(rollouts)
-        self.seconds["policy"] = time.perf_counter() - start
+        began = time.perf_counter()
+        metrics = super()._update_encoder_and_reward(rollouts)
+        self._updated = began, time.perf_counter()
         return metrics
 
 

@@ -47,10 +47,7 @@ def run(config: DictConfig) -> Result | None:
     draw_demonstrations(config)
     meta_il, meta_il_run = shared_meta_il(config)
     folder = RunFolder(config)
-    if config.algorithm == "meta_il":
-        model = meta_il
-    else:
-        model = meta_train(config, folder, meta_il)
+    model = meta_il if config.algorithm == "meta_il" else meta_train(config, folder, meta_il)
     demonstrations = load_test_demonstrations(config)
     scores = measure(config, folder, model, demonstrations)
     reward: dict[str, float] = {}

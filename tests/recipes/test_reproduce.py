@@ -7,7 +7,7 @@ from hydra.errors import HydraException
 
 from pemirl_trl.evaluation import read
 from pemirl_trl.methods import AIRLConfig, MetaILConfig, MetaInfoGAILConfig, PEMIRLConfig
-from pemirl_trl.modules import ModelConfig
+from pemirl_trl.modules import ModelConfig, ShapedReward
 
 from .conftest import RECIPES, config
 
@@ -18,12 +18,9 @@ SMOKE = (
     "logger=null",
     "evaluation.episodes=1",
     "meta_il.steps=10",
-    "++report={episodes: 1, resolution: 6, epic_transitions: 16, epic_samples: 8, features: 8}",
-)
-ONE_SHOT = (
-    "measure_reward=false",
+    "measure.one_shot=[]",
     "measure.policy_generalisation=[]",
-    "measure.reward_adaptation=[]",
+    "++report={episodes: 1, resolution: 6, epic_transitions: 16, epic_samples: 8, features: 8}",
 )
 
 
@@ -53,7 +50,7 @@ def test_every_row_belongs_to_one_table():
 
 @pytest.mark.parametrize("override", ["row=no_such_row", "table=no_such_table"])
 def test_hydra_names_what_there_is(override):
-    with pytest.raises(HydraException, match="(?s)no_such.*(pemirl|point_maze)"):
+    with pytest.raises(HydraException, match=r"(?s)no_such.*(pemirl|point_maze)"):
         config("reproduce", override)
 
 
@@ -62,52 +59,55 @@ def stamps(folder, pattern):
 
 
 @pytest.fixture
-def run(recipe, tmp_path, monkeypatch):
+def reproduce(recipe, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-
-    def reproduce(row, *overrides):
-        return recipe("reproduce").run(config("reproduce", f"row={row}", *SMOKE, *overrides))
-
-    return reproduce
+    return recipe("reproduce")
 
 
-def test_rows_run_once_and_share_demonstrations_and_meta_il(run, tmp_path):
-    written = run("pemirl")
+def smoke(row, *overrides):
+    return config("reproduce", f"row={row}", *SMOKE, *overrides)
+
+
+def test_a_row_is_run_once_and_shares_demonstrations_and_meta_il(reproduce, tmp_path):
+    written = reproduce.run(smoke("pemirl"))
     output = tmp_path / "results/point_maze/pemirl/seed0.json"
     result = read(output)
     assert json.loads(output.read_text())["schema"] == 2
     assert result.scores == written.scores
-    assert (result.table, result.row, result.seed, result.split) == (
-        "point_maze",
-        "pemirl",
-        0,
-        "test",
-    )
-    assert {(s.setting, s.variant, len(s.per_task)) for s in result.scores if s.goals == "all"} == {
-        ("one_shot", "left", 30),
-        ("policy_generalisation", "right", 30),
-        ("reward_adaptation", "right", 30),
-    }
+    names = (result.table, result.row, result.seed, result.split)
+    assert names == ("point_maze", "pemirl", 0, "test")
+    assert {(s.setting, s.variant) for s in result.scores} == {("reward_adaptation", "right")}
+    assert {len(s.per_task) for s in result.scores if s.goals == "all"} == {30}
+    assert {s.env_steps["meta_training"] for s in result.scores} == {1600}
     assert result.reward
     assert result.curves.keys() == {"pemirl", "reward_adaptation-right"}
     assert {"meta-il", "pemirl", "reward_adaptation-right"} <= result.seconds.keys()
 
     everything = stamps(tmp_path, "*")
-    assert run("pemirl") is None
+    assert reproduce.run(smoke("pemirl")) is None
     assert stamps(tmp_path, "*") == everything
 
+    # Another row of this seed: the same demonstrations, and the same Meta-IL, trained once.
     shared = tmp_path / "runs/reproduce/shared"
-    demonstrations = stamps(shared, "*.safetensors").keys() - stamps(shared / "meta_il", "*").keys()
+    demonstrations = stamps(shared / "demonstrations", "*.safetensors")
     assert {file.name for file in demonstrations} == {"train.safetensors", "test.safetensors"}
-    before = [stamps(shared, pattern) for pattern in ("t*.safetensors", "checkpoints/**/*")]
-    assert all(before)
-    other = run("pemirl_no_info", *ONE_SHOT)
-    assert [stamps(shared, pattern) for pattern in ("t*.safetensors", "checkpoints/**/*")] == before
-    assert len(list((shared / "meta_il").iterdir())) == 1
-    assert {s.setting for s in other.scores} == {"one_shot"}
-    assert other.reward == {}
+    trained = stamps(shared / "meta_il", "checkpoints/**/*")
+    assert trained
+    (folder,) = (shared / "meta_il").iterdir()
+    other = smoke("meta_infogail")
+    reproduce.draw_demonstrations(other)
+    model, run_dir = reproduce.shared_meta_il(other)
+    assert (tmp_path / run_dir) == folder
+    assert isinstance(model.reward, ShapedReward)  # whatever reward the row's own model has
+    assert stamps(shared / "demonstrations", "*.safetensors") == demonstrations
+    assert stamps(shared / "meta_il", "checkpoints/**/*") == trained
+
+    # Other contexts start from another Meta-IL; no contexts, from none.
+    assert (tmp_path / reproduce.shared_meta_il(smoke("pemirl_context_1"))[1]) != folder
+    assert reproduce.shared_meta_il(smoke("airl"))[0] is None
+    assert len(list((shared / "meta_il").iterdir())) == 2
 
 
-def test_a_seed_beyond_the_rows_own_is_not_run(run, tmp_path):
-    assert run("airl", "seed=5") is None
+def test_a_seed_beyond_the_rows_own_is_not_run(reproduce, tmp_path):
+    assert reproduce.run(smoke("airl", "seed=5")) is None
     assert list(tmp_path.iterdir()) == []
