@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from pemirl_envs.simulation.base import State
+from pemirl_envs.simulation.timers import timers_off
 
 STATE_FIELDS = ("time", "qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat", "qfrc_applied")
 _WARNINGS = [w.name.removeprefix("mjWARN_") for w in mujoco.mjtWarning.__members__.values()]
@@ -128,7 +129,8 @@ class MujocoBatch:
         np.copyto(self._before, self._batch.state)
         failures: dict[int, str] = {}
         try:
-            self._batch.step(_ids(mask), n_sub_steps, self._stage)
+            with timers_off():
+                self._batch.step(_ids(mask), n_sub_steps, self._stage)
         except mujoco.batch.SimulationError as error:
             failures = {int(i): self._batch.error(int(i)) for i in error.ids}
         counts = self._batch.warning[..., 1]
