@@ -28,6 +28,8 @@ Builder = Callable[..., Method]
 def build(config: DictConfig, model: PEMIRLModel, demonstrations: DemonstrationDataset) -> Method:
     """The method that ``config.algorithm`` names, on its environment.
 
+    Meta-IL needs no environment: it comes before the others (``meta_train.py``).
+
     Raises:
         ValueError: there is no such algorithm; names the legal ones.
     """

@@ -47,7 +47,12 @@ def run(config: DictConfig) -> Result | None:
     draw_demonstrations(config)
     meta_il, meta_il_run = shared_meta_il(config)
     folder = RunFolder(config)
-    model = meta_il if config.algorithm == "meta_il" else meta_train(config, folder, meta_il)
+    if config.algorithm != "meta_il":
+        model = meta_train(config, folder, meta_il)
+    elif meta_il is not None:
+        model = meta_il
+    else:
+        raise ValueError("algorithm=meta_il needs contexts; got model.context_dim=0")
     demonstrations = load_test_demonstrations(config)
     scores = measure(config, folder, model, demonstrations)
     reward: dict[str, float] = {}

@@ -84,7 +84,7 @@ def test_the_discriminator_learns_to_tell_the_expert(reach):
 
 
 def test_a_reward_that_is_no_discriminator_is_refused(reach):
-    with pytest.raises(ValueError, match=r"a model with reward=.gail., got .*'shaped'"):
+    with pytest.raises(ValueError, match=r"contexts and reward=.gail., got .*'shaped'"):
         reach.meta_infogail(model=reach.model())
 
 

@@ -49,11 +49,18 @@ class AIRL:
         env: batch size ``[M K]``, with :class:`pemirl_trl.InferContext` over ``demonstrations``.
         demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``; unlabelled.
         config: of the training.
+
+    Raises:
+        ValueError: the model has another kind of reward.
     """
 
     def __init__(
         self, model: PEMIRLModel, env: EnvBase, demonstrations: TensorDictBase, config: AIRLConfig
     ) -> None:
+        if model.config.reward != "shaped":
+            raise ValueError(
+                f'AIRL needs a model with reward="shaped", got {model.config.reward!r}'
+            )
         self.model, self.config = model, config
         self.iterations = config.iterations
         self.negatives = Negatives(config.replay_iterations)

@@ -17,7 +17,10 @@ class Method(Protocol):
     """What the loop asks of a method."""
 
     iterations: int
-    env_steps: int
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps so far; 0 for a method without an environment."""
 
     def iteration(self) -> Metrics:
         """Do one iteration and say what happened."""

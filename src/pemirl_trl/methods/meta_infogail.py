@@ -63,7 +63,7 @@ class MetaInfoGAIL:
         config: of the training.
 
     Raises:
-        ValueError: the model's reward is no GAIL discriminator.
+        ValueError: the model's reward is no GAIL discriminator, or it has no contexts.
     """
 
     def __init__(
@@ -73,9 +73,10 @@ class MetaInfoGAIL:
         demonstrations: TensorDictBase,
         config: MetaInfoGAILConfig,
     ) -> None:
-        if not isinstance(model.reward, GAILDiscriminator):
+        if not isinstance(model.reward, GAILDiscriminator) or model.config.context_dim == 0:
             raise ValueError(
-                f'expected a model with reward="gail", got reward={model.config.reward!r}'
+                'expected a model with contexts and reward="gail", got context_dim='
+                f"{model.config.context_dim} and reward={model.config.reward!r}"
             )
         self.model, self.config = model, config
         self.iterations = config.iterations

@@ -82,6 +82,9 @@ class PEMIRL:
         config: of the training.
         info_loss: another estimator of the information term, with :class:`InfoLoss`'s interface,
             for comparisons; None takes Lemma 2's.
+
+    Raises:
+        ValueError: the model has no contexts (that is :class:`AIRL`), or another kind of reward.
     """
 
     def __init__(
@@ -93,6 +96,11 @@ class PEMIRL:
         *,
         info_loss: Callable[[TensorDictBase], TensorDictBase] | None = None,
     ) -> None:
+        if model.config.context_dim == 0 or model.config.reward != "shaped":
+            raise ValueError(
+                'PEMIRL needs a model with contexts and reward="shaped"; got context_dim='
+                f"{model.config.context_dim} and reward={model.config.reward!r}"
+            )
         self.model, self.config = model, config
         self.iterations = config.iterations
         self.negatives = Negatives(config.replay_iterations)
