@@ -31,6 +31,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import ExplorationType, set_exploration_type
 
 from pemirl_envs import TaskEnv, get_task, make
+from pemirl_envs.simulation.timers import timers_off
 from pemirl_trl import ContextPolicy
 
 Runs = dict[str, Callable[[], object]]
@@ -80,11 +81,15 @@ def contenders(name: str, num_envs: int, num_threads: int | None) -> Runs:
     batch = Batch(task.model, num_envs, env.episodes.simulation.num_threads)
     controls = actions.double().numpy()
 
-    def raw_engine() -> None:
+    def engine_as_shipped() -> None:
         batch.state[:] = start.numpy()
         for control in controls:
             batch.ctrl[:] = control
             batch.step(nstep=task.n_sub_steps)
+
+    def raw_engine() -> None:
+        with timers_off():  # as the environment does: the faster yardstick
+            engine_as_shipped()
 
     def environment() -> None:
         data = env.reset()
@@ -100,6 +105,7 @@ def contenders(name: str, num_envs: int, num_threads: int | None) -> Runs:
 
     return {
         "raw engine": raw_engine,
+        "raw engine, with its timers": engine_as_shipped,
         "environment": environment,
         "environment + policy": hand_rollout,
         "collector": lambda: next(batches),
@@ -169,9 +175,9 @@ def main() -> None:
         runs = contenders(arguments.task, arguments.num_envs, arguments.num_threads)
     result = report(arguments, measure(runs, arguments.repetitions))
     ratios = result["ratio_to_raw_engine"]
-    sys.stdout.write(f"{'':22}{'steps/s':>10}{'of raw':>9}\n")
+    sys.stdout.write(f"{'':28}{'steps/s':>10}{'of raw':>9}\n")
     for name, rate in result["steps_per_second"].items():
-        sys.stdout.write(f"{name:22}{rate:>10,}{ratios[name]:>9.0%}\n")
+        sys.stdout.write(f"{name:28}{rate:>10,}{ratios[name]:>9.0%}\n")
     if arguments.output:
         write_json(arguments.output, result)
 

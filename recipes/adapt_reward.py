@@ -9,6 +9,8 @@ true returns, where the demonstrations come with their tasks, are metrics.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import hydra
 import torch
 from config import typed
@@ -17,7 +19,7 @@ from omegaconf import DictConfig
 from run_folder import RunFolder, say
 
 from pemirl_trl import ContextPolicy, DemonstrationDataset, InferContext, PEMIRLModel
-from pemirl_trl.checkpoint import save_weights
+from pemirl_trl.checkpoint import load_weights, read_metadata, save_weights
 from pemirl_trl.methods import PolicyOptimization, PolicyOptimizationConfig
 from pemirl_trl.pretrained import load_model
 
@@ -65,7 +67,11 @@ def adapt(
     )
     count = len(demonstrations) * rollouts
     env = environment(name, count, transform, seed=config.seed, threads=config.threads)
-    policy = model.new_policy(config.adaptation.policy_scale, learn_scale=False)
+    policy = model.new_policy(
+        config.adaptation.policy_scale,
+        learn_scale=False,
+        activation=config.adaptation.policy_activation,
+    )
     method = PolicyOptimization(
         env,
         policy,
@@ -76,10 +82,22 @@ def adapt(
     )
     folder.train(stage, method, show="return/true")
     file = folder.file("policy.safetensors" if stage == "adaptation" else f"{stage}.safetensors")
-    facts = {"environment": name, "env_steps": str(method.env_steps)}
+    facts = {
+        "environment": name,
+        "env_steps": str(method.env_steps),
+        "activation": config.adaptation.policy_activation,
+    }
     save_weights(file, {"policy": policy}, facts)
     say(f"{stage}: trained on {method.env_steps:,} environment steps -> {file}")
     return policy, method.env_steps
+
+
+def load_adapted(file: Path, model: PEMIRLModel) -> tuple[ContextPolicy, int]:
+    """The policy of a file that :func:`adapt` wrote, and the environment steps it took."""
+    facts = read_metadata(file)
+    policy = model.new_policy(activation=facts["activation"])
+    load_weights(file, {"policy": policy})
+    return policy, int(facts["env_steps"])
 
 
 @hydra.main(config_path="conf", config_name="adapt_reward", version_base="1.3")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import hydra
 import torch
-from adapt_reward import load_test_demonstrations
+from adapt_reward import load_adapted, load_test_demonstrations
 from config import plain
 from drawing import draw_learning_curve, draw_reward_maps
 from omegaconf import DictConfig
@@ -22,7 +22,7 @@ from run_folder import RunFolder, say
 from scoring import Scorer
 
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
-from pemirl_trl.checkpoint import load_weights, read_metadata
+from pemirl_trl.checkpoint import read_metadata
 from pemirl_trl.evaluation import Result, Score, environment_facts, returns_table
 from pemirl_trl.pretrained import load_model
 
@@ -92,10 +92,9 @@ def _scores(
     meta_run: Path,
     adaptation_run: Path,
 ) -> list[Score]:
-    adapted = model.new_policy()
-    facts = load_weights(adaptation_run / "policy.safetensors", {"policy": adapted})
+    adapted, adaptation = load_adapted(adaptation_run / "policy.safetensors", model)
     steps = int(read_metadata(meta_run / "model.safetensors")["env_steps"])
-    used = {"meta_training": steps, "adaptation": int(facts["env_steps"])}
+    used = {"meta_training": steps, "adaptation": adaptation}
     return _transfer(config, model, demonstrations, steps) + Scorer(config, demonstrations).scores(
         "reward_adaptation", config.test_environment, model, adapted, used
     )

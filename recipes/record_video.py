@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hydra
 import torch
-from adapt_reward import load_test_demonstrations
+from adapt_reward import load_adapted, load_test_demonstrations
 from domains import data_file, environment
 from omegaconf import DictConfig
 from run_folder import say
@@ -19,7 +19,6 @@ from torchrl.envs import ExplorationType, set_exploration_type
 import pemirl_envs
 from pemirl_envs.rendering import render, write_video
 from pemirl_trl import InferContext
-from pemirl_trl.checkpoint import load_weights
 from pemirl_trl.pretrained import load_model
 
 
@@ -27,8 +26,7 @@ from pemirl_trl.pretrained import load_model
 def record_video(config: DictConfig) -> None:
     """Roll the policy out, one episode after the other, and film it."""
     model = load_model(data_file(f"{config.run}/model.safetensors"))
-    policy = model.new_policy()
-    load_weights(data_file(f"{config.run}/policy.safetensors"), {"policy": policy})
+    policy, _ = load_adapted(data_file(f"{config.run}/policy.safetensors"), model)
     demonstrations = load_test_demonstrations(config)
     chosen = torch.linspace(0, len(demonstrations) - 1, config.tasks).round().long()
     few = demonstrations[chosen]

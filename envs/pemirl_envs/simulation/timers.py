@@ -1,8 +1,8 @@
 """MuJoCo's internal timers, off while a batch steps.
 
 The Python package installs a clock as ``mjcb_time``. Every step of every simulation reads it dozens
-of times, to fill ``mjData.timer``; on a small model that is a good part of the time. The package can
-replace the clock but not remove it. The C library can: with a null pointer it reads none.
+of times, to fill ``mjData.timer``; on a small model that is a good part of the time. The package
+can replace the clock but not remove it. The C library can: with a null pointer it reads none.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ from pemirl_trl.modules.standardize import Standardize
 
 EncoderKind = Literal["flat", "masked"]
 RewardKind = Literal["shaped", "gail"]
+ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
 
 
 @dataclass(frozen=True)
@@ -107,13 +108,27 @@ class PEMIRLModel(nn.Module):
             )
         raise ValueError(f"unknown reward {c.reward!r}; choose one of {get_args(RewardKind)}")
 
-    def new_policy(self, scale: float | None = None, *, learn_scale: bool = True) -> ContextPolicy:
-        """A freshly initialised policy of this model's sizes, as adaptation starts from."""
+    def new_policy(
+        self, scale: float | None = None, *, learn_scale: bool = True, activation: str = "relu"
+    ) -> ContextPolicy:
+        """A freshly initialised policy of this model's sizes, as adaptation starts from.
+
+        Args:
+            scale: deviation before training; None takes the configured one.
+            learn_scale: whether the deviation is learned.
+            activation: of the hidden layers, ``"relu"`` (the paper's) or ``"tanh"``.
+
+        Raises:
+            ValueError: another activation.
+        """
+        if activation not in ACTIVATIONS:
+            raise ValueError(f"unknown activation {activation!r}; choose one of {[*ACTIVATIONS]}")
         return ContextPolicy(
             self.observation_dim,
             self.action_dim,
             self.config.context_dim,
             hidden=self.config.policy_hidden,
+            activation=ACTIVATIONS[activation],
             standardize=self.standardize,
             initial_scale=self.config.policy_scale if scale is None else scale,
             learn_scale=learn_scale,
