@@ -5,6 +5,7 @@ import dataclasses
 import pytest
 import torch
 from tensordict import TensorDict
+from torch import nn
 
 from pemirl_trl.modules import (
     ContextEncoder,
@@ -87,3 +88,15 @@ def test_it_makes_policies_of_its_sizes():
 def test_unknown_kinds_are_refused(config, message):
     with pytest.raises(ValueError, match=message):
         model(**config)
+
+
+@pytest.mark.parametrize(("name", "unit"), [("relu", nn.ReLU), ("tanh", nn.Tanh)])
+def test_a_new_policy_has_the_units_that_were_asked_for(name, unit):
+    policy = PEMIRLModel(2, 2, 10).new_policy(activation=name)
+    units = [type(m) for m in policy.modules() if isinstance(m, nn.ReLU | nn.Tanh)]
+    assert units == [unit, unit]
+
+
+def test_an_unknown_unit_is_refused():
+    with pytest.raises(ValueError, match=r"unknown activation 'gelu'; choose one of .*tanh"):
+        PEMIRLModel(2, 2, 10).new_policy(activation="gelu")
