@@ -28,7 +28,7 @@ def make(
     name: str,
     num_envs: int = 1,
     *,
-    split: str = "train_100",
+    split: str | None = None,
     seed: int | None = None,
     num_threads: int | None = None,
 ) -> TaskEnv:
@@ -56,7 +56,7 @@ def load(
             and ``parameters``, which fixes the task of every episode: ``{"goal": (0.3, 0.5)}``.
         environment_kwargs: keywords of ``control.Environment``, such as ``flat_observation``.
         visualize_reward: accepted for compatibility, without effect: dm_control highlights rewards
-            in (0, 1], and these are negative costs.
+            in (0, 1], and these are not scaled to that range.
 
     Raises:
         ValueError: unknown domain, task or split, or illegal parameters.

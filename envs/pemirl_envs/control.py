@@ -24,7 +24,7 @@ from pemirl_envs.tasks import Task
 def load(
     task: Task,
     *,
-    split: str = "train_100",
+    split: str | None = None,
     parameters: Mapping[str, ArrayLike] | None = None,
     random: int | np.random.RandomState | None = None,
     time_limit: float | None = None,
@@ -52,7 +52,7 @@ class ControlTask(control.Task):
 
     Args:
         task: the task.
-        split: the set of tasks from which episodes draw.
+        split: the set of tasks from which episodes draw; ``None``: ``task.default_split``.
         parameters: task parameters of every episode, each without a batch dimension; ``None`` draws
             them from the split.
         random: a seed, or a ``RandomState`` whose seed is taken; ``None`` seeds at random.
@@ -68,10 +68,11 @@ class ControlTask(control.Task):
         self,
         task: Task,
         *,
-        split: str,
+        split: str | None = None,
         parameters: Mapping[str, ArrayLike] | None = None,
         random: int | np.random.RandomState | None = None,
     ) -> None:
+        split = task.default_split if split is None else split
         if split not in task.splits:
             raise ValueError(f"unknown split {split!r}; expected one of {task.splits}")
         self._task = task
@@ -124,7 +125,8 @@ class ControlTask(control.Task):
         applied = torch.clamp(applied[None], low, high)
         reward = self._task.reward(lambda name: _field(physics, name), applied, self.parameters)
         self._reward = float(reward[0])
-        _write(physics, self._task.control(applied))
+        state = self._task.control(lambda name: _field(physics, name), applied)
+        _write(physics, state)
 
     def after_step(self, physics: Physics) -> None:
         """Adds the task's transition noise."""

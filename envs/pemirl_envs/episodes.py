@@ -42,7 +42,7 @@ class Episodes:
     Args:
         task: the task.
         num_envs: the number of episodes, N.
-        split: the set of tasks from which resets draw.
+        split: the set of tasks from which resets draw; ``None``: ``task.default_split``.
         seed: seeds everything that is random; ``None`` takes one from the operating system.
         num_threads: threads that step the simulations; see
             :class:`~pemirl_envs.simulation.MujocoBatch`.
@@ -61,10 +61,11 @@ class Episodes:
         task: Task,
         num_envs: int,
         *,
-        split: str,
+        split: str | None = None,
         seed: int | None = None,
         num_threads: int | None = None,
     ) -> None:
+        split = task.default_split if split is None else split
         if split not in task.splits:
             raise ValueError(f"unknown split {split!r}; expected one of {task.splits}")
         self.task = task
@@ -146,7 +147,7 @@ class Episodes:
         failures = {i: "the action is not finite" for i in (~finite).nonzero().flatten().tolist()}
         control = torch.clamp(action.detach(), low, high)
         reward = self.task.reward(self.simulation.field, control, self.parameters)
-        self.simulation.write(self.task.control(control), healthy)
+        self.simulation.write(self.task.control(self.simulation.field, control), healthy)
         failures |= self.simulation.step(self.task.n_sub_steps, healthy)
         if failures:
             healthy = torch.ones_like(finite)

@@ -49,7 +49,7 @@ class GymVectorEnv(VectorEnv[Array, Array, Array]):
     Args:
         name: the task, such as ``"point_maze/left"``.
         num_envs: the number of episodes, N.
-        split: the set of tasks from which resets draw.
+        split: the set of tasks from which resets draw; default: ``task.default_split``.
         render_mode: ``"rgb_array"`` or ``None``.
         num_threads: threads that step the simulations; default: one for each usable CPU.
 
@@ -68,7 +68,7 @@ class GymVectorEnv(VectorEnv[Array, Array, Array]):
         name: str,
         num_envs: int = 1,
         *,
-        split: str = "train_100",
+        split: str | None = None,
         render_mode: str | None = None,
         num_threads: int | None = None,
     ) -> None:
@@ -130,7 +130,7 @@ class GymEnv(gymnasium.Env[Array, Array]):
 
     Args:
         name: the task, such as ``"point_maze/left"``.
-        split: the set of tasks from which resets draw.
+        split: the set of tasks from which resets draw; default: ``task.default_split``.
         render_mode: ``"rgb_array"`` or ``None``.
 
     Raises:
@@ -140,7 +140,7 @@ class GymEnv(gymnasium.Env[Array, Array]):
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012  # as above
 
     def __init__(
-        self, name: str, *, split: str = "train_100", render_mode: str | None = None
+        self, name: str, *, split: str | None = None, render_mode: str | None = None
     ) -> None:
         _check_render_mode(render_mode)
         self.episodes = Episodes(get_task(name), 1, split=split, num_threads=1)

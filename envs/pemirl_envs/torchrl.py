@@ -52,7 +52,7 @@ class TaskEnv(EnvBase):
     Args:
         task: the task.
         num_envs: the number of episodes, N.
-        split: the set of tasks from which resets draw.
+        split: the set of tasks from which resets draw; default: ``task.default_split``.
         seed: seeds everything that is random; ``None`` takes one from the operating system.
         num_threads: threads that step the simulations. Default: one for each CPU in the affinity
             mask of the process. The results do not depend on it.
@@ -68,7 +68,7 @@ class TaskEnv(EnvBase):
         task: Task,
         num_envs: int,
         *,
-        split: str = "train_100",
+        split: str | None = None,
         seed: int | None = None,
         num_threads: int | None = None,
     ) -> None:

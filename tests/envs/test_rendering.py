@@ -24,7 +24,7 @@ import gymnasium, numpy as np, pemirl_envs, torch
 from pemirl_envs.rendering import Renderer, render
 frames = {}
 for name in pemirl_envs.TASKS:
-    env = pemirl_envs.make(name, 2, split="train", seed=0)
+    env = pemirl_envs.make(name, 2, seed=0)
     env.reset()
     frames[name] = render(env.task, env.physics_state(), width=64, height=48)
 left = pemirl_envs.make("point_maze/left", 2, seed=0)
@@ -96,7 +96,8 @@ def moved(one, other):
 
 @needs_gl
 def test_every_variant_is_drawn_and_differs_from_the_others(frames):
-    pictures = [frames[name][0] for name in pemirl_envs.TASKS]
+    visible = [name for name in pemirl_envs.TASKS if not name.endswith("_rk4")]  # an integrator
+    pictures = [frames[name][0] for name in visible]
     for i, picture in enumerate(pictures):
         assert picture.shape == (48, 64, 3)
         assert picture.dtype == np.uint8

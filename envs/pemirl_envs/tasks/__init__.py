@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from pemirl_envs.tasks import point_maze
+from pemirl_envs.tasks import ant, point_maze, sawyer_pusher, sweeper
 from pemirl_envs.tasks.base import Layout, Parameters, Task
 
 DOMAINS: dict[str, Mapping[str, Callable[[], Task]]] = {
     "point_maze": point_maze.VARIANTS,
+    "ant": ant.VARIANTS,
+    "sawyer_pusher": sawyer_pusher.VARIANTS,
+    "sweeper": sweeper.VARIANTS,
 }
 
 TASKS: dict[str, Callable[[], Task]] = {

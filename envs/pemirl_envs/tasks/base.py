@@ -52,6 +52,7 @@ class Task(abc.ABC):
         observation_size: D, the length of an observation.
         parameter_bounds: the legal box of each parameter, by name: float32 ``(low, high)``.
         splits: the names of the sets of tasks to draw from.
+        default_split: the one that the faces draw from unless told: the training set.
     """
 
     horizon: ClassVar[int]
@@ -60,6 +61,7 @@ class Task(abc.ABC):
     observation_size: ClassVar[int]
     parameter_bounds: Mapping[str, tuple[Tensor, Tensor]]
     splits: tuple[str, ...]
+    default_split: ClassVar[str] = "train_100"
 
     @functools.cached_property
     def model(self) -> mujoco.MjModel:
@@ -109,7 +111,7 @@ class Task(abc.ABC):
     def reward(self, fields: Fields, action: Tensor, parameters: Parameters) -> Tensor:
         """r(s_t, a_t), float32 ``[N]``: read before the physics moves, for the clipped action."""
 
-    def control(self, action: Tensor) -> State:
+    def control(self, fields: Fields, action: Tensor) -> State:
         """The state fields through which a clipped action ``[N, A]`` drives the model."""
         return {"ctrl": action}
 

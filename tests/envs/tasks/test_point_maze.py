@@ -8,6 +8,7 @@ import torch
 
 import pemirl_envs
 from pemirl_envs.simulation import MujocoBatch
+from pemirl_envs.tasks import point_maze
 from pemirl_envs.tasks.point_maze import PointMaze
 
 BARRIERS = {"left": "-.1 .3 .01 .4 .3 .01", "right": ".2 .3 .01 .6 .3 .01"}
@@ -167,7 +168,7 @@ def test_transition_noise_does_not_push_through_walls():
 
 
 def test_the_layout_is_that_of_the_model():
-    for name in pemirl_envs.TASKS:
+    for name in (f"point_maze/{variant}" for variant in point_maze.VARIANTS):
         plan, model = pemirl_envs.layout(name), pemirl_envs.get_task(name).model
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)

@@ -1,0 +1,137 @@
+"""Sawyer Pusher: a Sawyer arm pushes a mug over a table to a goal.
+
+Source: PEMIRL, "Sawyer Pusher" (section 4 and the appendices), which gives the reward and the
+numbers of tasks; no public code of it is known. Control by a mocap body, its step, the box of the
+hand and the start are those of multiworld's Sawyer environments (vitchyr/multiworld). All else is
+this project's definition.
+"""
+
+from __future__ import annotations
+
+import functools
+import pathlib
+from collections.abc import Callable
+
+import mujoco
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import pad
+
+from pemirl_envs.simulation import Fields, State
+from pemirl_envs.tasks.base import Parameters, Task
+from pemirl_envs.tasks.goals import GoalBox
+
+_XML = pathlib.Path(__file__).with_suffix(".xml")
+_ARM_JOINTS = 7
+_HAND_TARGET = 0  # index among the mocap bodies; the other one shows the goal
+
+_ACTION_STEP = 0.01  # m, how far an action of 1 moves the hand's target
+_HAND_LOW, _HAND_HIGH = (-0.4, 0.4, 0.02), (0.4, 1.0, 0.3)  # m, box of the hand's target
+_MUG_OFFSET = 0.02  # m, half-width of the uniform initial offset
+_GOAL_HEIGHT = 0.001  # m, where the goal is drawn
+_WALL_RIGHT, _WALL_Y = 0.45, 0.7  # m, its right end and its centre line
+_WALL_THICKNESS, _WALL_HEIGHT = 0.02, 0.12  # m
+
+_GOALS = GoalBox(low=(-0.3, 0.75), high=(0.3, 1.0), seed=2019_300)
+
+
+class SawyerPusher(Task):
+    """A hand that is moved in Cartesian steps, and a mug that slides with friction.
+
+    Splits: those of :class:`~pemirl_envs.tasks.goals.GoalBox`; goals lie 15 to 50 cm beyond the
+    mug's start.
+
+    Args:
+        wall: x in metres of the left end of a wall that runs across the way from there to the
+            right, between the mug's start and the goals; ``None``: no wall.
+    """
+
+    horizon = 200
+    n_sub_steps = 5
+    stage = mujoco.mjtStage.mjSTAGE_POS  # the hand's position follows from the joint angles
+    observation_size = 6
+    splits = GoalBox.splits
+
+    def __init__(self, wall: float | None = None) -> None:
+        self._wall = wall
+        self.parameter_bounds = {"goal": _GOALS.bounds}
+
+    @functools.cached_property
+    def action_bounds(self) -> tuple[Tensor, Tensor]:
+        """The box [-1, 1]^3: steps of the hand's target along x, y and z, in centimetres."""
+        return -torch.ones(3), torch.ones(3)
+
+    def build_spec(self) -> mujoco.MjSpec:
+        """The model file, and the wall of this variant."""
+        spec = mujoco.MjSpec.from_file(str(_XML))
+        if self._wall is not None:
+            width = _WALL_RIGHT - self._wall
+            spec.worldbody.add_geom(
+                name="wall",
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=[self._wall + width / 2, _WALL_Y, _WALL_HEIGHT / 2],
+                size=[width / 2, _WALL_THICKNESS / 2, _WALL_HEIGHT / 2],
+                material="decoration",
+            )
+            for moving in ("mug", "handle", "stick"):
+                spec.add_pair(spec.default, geomname1="wall", geomname2=moving)
+        return spec
+
+    @functools.cached_property
+    def _start(self) -> tuple[Tensor, Tensor]:
+        """The model's keyframe: positions [14], and the hand's target [3], on which it rests."""
+        key = self.model.key("start")
+        return torch.tensor(key.qpos), torch.tensor(key.mpos)[:3]
+
+    def task_set(self, split: str) -> dict[str, Tensor]:
+        """The goals of a finite split, float32 ``[K, 2]``."""
+        return {"goal": _GOALS.task_set(split)}
+
+    def sample_parameters(self, n: int, split: str, generator: Generator) -> dict[str, Tensor]:
+        """Draws ``n`` goals, float32 ``[N, 2]``."""
+        return {"goal": _GOALS.sample(n, split, generator)}
+
+    def initial_state(self, parameters: Parameters, generator: Generator) -> State:
+        """The hand at rest in front of the mug, which stands within 2 cm of its place per axis."""
+        goal = parameters["goal"].double()
+        n = len(goal)
+        qpos, hand = self._start
+        unit = torch.rand(n, 2, dtype=torch.float64, generator=generator) * 2 - 1
+        target = pad(goal, (0, 1), value=_GOAL_HEIGHT)
+        return {
+            "qpos": qpos + pad(_MUG_OFFSET * unit, (_ARM_JOINTS, 5)),
+            "mocap_pos": torch.stack([hand.expand(n, 3), target], 1),  # [N, 2, 3]
+        }
+
+    def control(self, fields: Fields, action: Tensor) -> State:
+        """Moves the hand's target by up to 1 cm on each axis, within the box of the hand."""
+        low, high = torch.tensor((_HAND_LOW, _HAND_HIGH), dtype=torch.float64)
+        mocap = fields("mocap_pos").clone()
+        moved = mocap[:, _HAND_TARGET] + _ACTION_STEP * action.double()
+        mocap[:, _HAND_TARGET] = torch.clamp(moved, low, high)
+        return {"mocap_pos": mocap}
+
+    def observe(self, fields: Fields) -> Tensor:
+        """The hand's and the mug's position, (x, y, z) each, metres, float32 ``[N, 6]``."""
+        return torch.cat([_hand(fields), _mug(fields)], -1).float()
+
+    def reward(self, fields: Fields, action: Tensor, parameters: Parameters) -> Tensor:
+        """r(s) = -|hand - mug|_2 - |mug_xy - g|_2, float32 ``[N]``; metres (paper, appendix)."""
+        mug = _mug(fields)
+        to_mug = (_hand(fields) - mug).square().sum(-1).sqrt()
+        to_goal = (mug[:, :2] - parameters["goal"]).square().sum(-1).sqrt()
+        return (-to_mug - to_goal).float()
+
+
+def _hand(fields: Fields) -> Tensor:
+    return fields("site_xpos")[:, 0]  # the model's first site: the tip of the stick
+
+
+def _mug(fields: Fields) -> Tensor:
+    return fields("qpos")[:, _ARM_JOINTS : _ARM_JOINTS + 3]  # the middle of the mug
+
+
+VARIANTS: dict[str, Callable[[], Task]] = {
+    "normal": SawyerPusher,
+    "shift": functools.partial(SawyerPusher, wall=-0.16),
+}
