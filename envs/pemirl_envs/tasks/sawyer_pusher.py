@@ -26,7 +26,8 @@ _ARM_JOINTS = 7
 _HAND_TARGET = 0  # index among the mocap bodies; the other one shows the goal
 
 _ACTION_STEP = 0.01  # m, how far an action of 1 moves the hand's target
-_HAND_LOW, _HAND_HIGH = (-0.4, 0.4, 0.02), (0.4, 1.0, 0.3)  # m, box of the hand's target
+# m, low and high corner of the box of the hand's target
+_HAND_BOX = torch.tensor([(-0.4, 0.4, 0.02), (0.4, 1.0, 0.3)], dtype=torch.float64)
 _MUG_OFFSET = 0.02  # m, half-width of the uniform initial offset
 _GOAL_HEIGHT = 0.001  # m, where the goal is drawn
 _WALL_RIGHT, _WALL_Y = 0.45, 0.7  # m, its right end and its centre line
@@ -105,7 +106,7 @@ class SawyerPusher(Task):
 
     def control(self, fields: Fields, action: Tensor) -> State:
         """Moves the hand's target by up to 1 cm on each axis, within the box of the hand."""
-        low, high = torch.tensor((_HAND_LOW, _HAND_HIGH), dtype=torch.float64)
+        low, high = _HAND_BOX
         mocap = fields("mocap_pos").clone()
         moved = mocap[:, _HAND_TARGET] + _ACTION_STEP * action.double()
         mocap[:, _HAND_TARGET] = torch.clamp(moved, low, high)
