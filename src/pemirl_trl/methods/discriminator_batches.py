@@ -31,7 +31,7 @@ class BatchConfig:
             observations, the same on s and s'. Blurred negatives enclose the expert's support.
             An extension of the paper; 0 is off.
         jitter_scale: the noise's deviation is drawn per trajectory from U(0, jitter_scale), in
-            units of the demonstrations' mean deviation.
+            units of the demonstrations' deviation, feature by feature.
     """
 
     trajectories: int = 200
@@ -120,8 +120,7 @@ class DiscriminatorBatches:
 
     def _jitter(self, batch: TensorDict) -> None:
         c, shape = self.config, batch["observation"].shape
-        unit = self.model.standardize.scale.mean()
-        scale = torch.rand(shape[0], 1, 1) * c.jitter_scale * unit
+        scale = torch.rand(shape[0], 1, 1) * c.jitter_scale * self.model.standardize.scale
         chosen = (torch.rand(shape[0], 1, 1) < c.jitter_fraction).to(scale.dtype)
         noise = chosen * scale * torch.randn(shape)
         for key in FIELDS[:2]:
