@@ -9,6 +9,7 @@ true returns, where the demonstrations come with their tasks, are metrics.
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import hydra
@@ -72,11 +73,13 @@ def adapt(
         learn_scale=False,
         activation=config.adaptation.policy_activation,
     )
+    optimization = typed(PolicyOptimizationConfig, config.adaptation.optimization)
     method = PolicyOptimization(
         env,
         policy,
         model.horizon,
-        typed(PolicyOptimizationConfig, config.adaptation.optimization),
+        # Across tasks only a learned reward is known, so the oracle does without.
+        dataclasses.replace(optimization, imitate_best=0.0) if true_reward else optimization,
         rollouts_per_context=rollouts,
         reward=None if true_reward else model.reward,
     )

@@ -64,3 +64,27 @@ def test_a_forced_deviation_follows_its_schedule(reach):
 def test_a_free_deviation_is_learned(reach):
     method = reach.policy_optimization(iterations=2)
     assert method.iteration()["policy/scale"] != method.iteration()["policy/scale"]
+
+
+def test_imitating_the_best_needs_a_learned_reward(reach):
+    with pytest.raises(ValueError, match="needs a learned reward"):
+        reach.policy_optimization(iterations=2, imitate_best=1.0)
+
+
+def test_the_best_trajectories_are_kept_imitated_and_checkpointed(reach):
+    method = reach.policy_optimization(
+        learned=True, iterations=10, final_scale=0.1, imitate_best=3.0
+    )
+    metrics = [method.iteration() for _ in range(method.iterations)]
+    best = [m["best/return"] for m in metrics]
+    assert best == sorted(best)
+    assert best[-1] > best[0]
+    kept = method.components()["best"].state_dict()
+    batch = TensorDict({k: kept[k] for k in ("observation", "context")}, kept["action"].shape[:2])
+    error = method.policy.get_dist(batch).mean - kept["action"]
+    plain = reach.policy_optimization(learned=True, iterations=10, final_scale=0.1)
+    for _ in range(plain.iterations):
+        plain.iteration()
+    other = plain.policy.get_dist(batch).mean - kept["action"]
+    assert float(error.square().mean().detach()) < 0.8 * float(other.square().mean().detach())
+    assert "best" not in plain.components()

@@ -2,6 +2,7 @@
 
 from pemirl_trl.methods.airl import AIRL, AIRLConfig
 from pemirl_trl.methods.averaging import AveragedReward
+from pemirl_trl.methods.best_trajectories import BestTrajectories
 from pemirl_trl.methods.collection import EpisodeCollector
 from pemirl_trl.methods.discriminator_batches import BatchConfig, DiscriminatorBatches
 from pemirl_trl.methods.loop import TrainingDiverged, train
@@ -18,6 +19,7 @@ __all__ = [
     "AIRLConfig",
     "AveragedReward",
     "BatchConfig",
+    "BestTrajectories",
     "DiscriminatorBatches",
     "EpisodeCollector",
     "MetaIL",

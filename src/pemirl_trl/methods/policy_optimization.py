@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
+from torchrl.data.tensor_specs import ContinuousBox
 from torchrl.envs import EnvBase
 
+from pemirl_trl.methods.best_trajectories import BestTrajectories
 from pemirl_trl.methods.collection import EpisodeCollector
 from pemirl_trl.methods.policy_step import PolicyStep, TRPOConfig
 from pemirl_trl.methods.schedule import log_linear
@@ -26,12 +28,16 @@ class PolicyOptimizationConfig:
         final_scale: if given, the deviation is not learned but forced, log-linearly from the
             policy's initial one to this, over ``anneal_fraction`` of the iterations.
         anneal_fraction: see ``final_scale``.
+        imitate_best: weight, beside standardised advantages, of the squared error to the actions of
+            the best trajectory that any task's policy has found for each task; needs a learned
+            reward (see :class:`BestTrajectories`). 0 is off.
     """
 
     iterations: int = 100
     trpo: TRPOConfig = field(default_factory=TRPOConfig)
     final_scale: float | None = None
     anneal_fraction: float = 0.8
+    imitate_best: float = 0.0
 
 
 class PolicyOptimization:
@@ -47,6 +53,10 @@ class PolicyOptimization:
         config: of the optimisation.
         rollouts_per_context: consecutive environments that share a task.
         reward: writes ``learned_reward``; None trains on the environment's own.
+
+    Raises:
+        ValueError: ``imitate_best`` without a learned reward: the environment's own is known only
+            for the task that a trajectory was collected for.
     """
 
     def __init__(
@@ -67,6 +77,13 @@ class PolicyOptimization:
             policy.log_scale.requires_grad_(False)
         self._step = PolicyStep(policy, config.trpo, rollouts_per_context)
         self._learned = None if reward is None else LearnedReward(reward)
+        self._best: BestTrajectories | None = None
+        if config.imitate_best > 0:
+            if reward is None:
+                raise ValueError(f"imitate_best={config.imitate_best} needs a learned reward")
+            space = env.action_spec.space
+            bounds = (space.low[0], space.high[0]) if isinstance(space, ContinuousBox) else None
+            self._best = BestTrajectories(reward, rollouts_per_context, bounds)
 
     @property
     def env_steps(self) -> int:
@@ -81,7 +98,11 @@ class PolicyOptimization:
         if self._learned is not None:
             self._learned(rollouts)
             metrics["return/learned"] = float(rollouts["next", "reward"].sum(1).mean())
-        metrics |= self._step(rollouts)
+        imitation = None
+        if self._best is not None:
+            metrics |= self._best.update(rollouts)
+            imitation = self._best.loss(self.policy, self.config.imitate_best)
+        metrics |= self._step(rollouts, imitation)
         return metrics
 
     def _force_scale(self) -> None:
@@ -94,4 +115,5 @@ class PolicyOptimization:
 
     def components(self) -> dict[str, Any]:
         """What a checkpoint holds."""
-        return {"policy": self.policy, "collector": self._collect}
+        best = {} if self._best is None else {"best": self._best}
+        return {"policy": self.policy, "collector": self._collect, **best}
