@@ -34,8 +34,9 @@ def collect_demos(config: DictConfig) -> DemonstrationDataset:
         threads=config.threads,
     )
     horizon = pemirl_envs.get_task(task).horizon
+    expert = load_expert(config.expert or config.experts[task.split("/")[1]])
     with set_exploration_type(ExplorationType.RANDOM):
-        rollouts = env.rollout(horizon, load_expert(config.expert), break_when_any_done=False)
+        rollouts = env.rollout(horizon, expert, break_when_any_done=False)
     mean_return = float(rollouts["next", "reward"].sum(1).mean())
     demonstrations = DemonstrationDataset.from_rollouts(
         rollouts,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 from omegaconf import DictConfig
@@ -21,6 +22,7 @@ from pemirl_trl import (
 )
 from pemirl_trl.checkpoint import load_weights, read_metadata
 from pemirl_trl.evaluation import episode_returns
+from pemirl_trl.modules.model import ACTIVATIONS
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -61,10 +63,15 @@ def split_sampler(name: str, split: str) -> Callable[[int], TensorDictBase]:
     return sample
 
 
-def expert_policy(name: str, task_key: str, hidden: list[int]) -> ContextPolicy:
+def expert_policy(name: str, task_key: str, sizes: Mapping[str, Any]) -> ContextPolicy:
     """An untrained policy that reads the task, for the task's sizes.
 
     Its map of observations is fitted on the reachable box, sampled by random actions.
+
+    Args:
+        name: of the environment.
+        task_key: the task parameter that it reads.
+        sizes: ``hidden`` (widths), ``activation`` and ``scale`` (the deviation before training).
     """
     env = pemirl_envs.make(name, 256, seed=0)
     horizon = env.task.horizon
@@ -73,7 +80,9 @@ def expert_policy(name: str, task_key: str, hidden: list[int]) -> ContextPolicy:
         rollouts["observation"].shape[-1],
         rollouts["action"].shape[-1],
         rollouts["task", task_key].shape[-1],
-        hidden=hidden,
+        hidden=list(sizes["hidden"]),
+        activation=ACTIVATIONS[sizes["activation"]],
+        initial_scale=sizes["scale"],
         standardize=Standardize.fit(rollouts["observation"]),
         context_key=("task", task_key),
     )
@@ -83,8 +92,12 @@ def load_expert(path: str) -> ContextPolicy:
     """The expert of a file that ``train_expert.py`` wrote."""
     file = data_file(path)
     facts = read_metadata(file)
-    hidden = [int(width) for width in facts["hidden"].split(",")]
-    policy = expert_policy(facts["environment"], facts["task_key"], hidden)
+    sizes = {
+        "hidden": [int(width) for width in facts["hidden"].split(",")],
+        "activation": facts.get("activation", "relu"),
+        "scale": 1.0,  # the file's own takes its place
+    }
+    policy = expert_policy(facts["environment"], facts["task_key"], sizes)
     load_weights(file, {"policy": policy})
     return policy
 

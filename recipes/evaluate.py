@@ -48,7 +48,7 @@ def evaluate(
         Result(
             table="quickstart",
             row=row,
-            task=config.environment.split("/")[0],
+            task=config.task,
             seed=config.seed,
             split="test",
             scores=tuple(of_row),
@@ -62,7 +62,8 @@ def evaluate(
     for result in results:
         result.write(Path(config.results) / f"{result.row}.json")
     say(returns_table(results))
-    draw_reward_maps(config, model, demonstrations, folder.file("figures/reward_maps.png"))
+    if config.planar:
+        draw_reward_maps(config, model, demonstrations, folder.file("figures/reward_maps.png"))
     draw_learning_curve(
         config,
         (meta_run, adaptation_run),

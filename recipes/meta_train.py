@@ -3,6 +3,7 @@
     python recipes/meta_train.py
     python recipes/meta_train.py method=pemirl seed=1
     python recipes/meta_train.py method=airl
+    python recipes/meta_train.py task=ant
     python recipes/meta_train.py training.info_coeff=0 model.context_dim=5 run_dir=runs/no_info
 
 Writes ``model.safetensors`` and, where the method has contexts, ``meta_il.safetensors`` (Meta-IL:

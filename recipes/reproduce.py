@@ -63,7 +63,7 @@ def run(config: DictConfig) -> Result | None:
     result = Result(
         table=config.table_name,
         row=config.row,
-        task=config.environment.split("/")[0],
+        task=config.task,
         seed=config.seed,
         split=config.test_split,
         scores=tuple(scores),
@@ -107,7 +107,7 @@ def measure(
 def draw_demonstrations(config: DictConfig) -> None:
     """This seed's own demonstrations of the training and of the unseen tasks."""
     wanted = {
-        config.demonstrations: ("train_100", 8),
+        config.demonstrations: (config.train_split, config.train_per_task),
         config.test_demonstrations: (config.test_split, 1),
     }
     for output, (split, per_task) in wanted.items():

@@ -1,6 +1,6 @@
 """How close is the learned reward to the true one? One page with figures.
 
-    python recipes/reward_report.py model_file=runs/meta_train/pemirl/seed0/model.safetensors
+    python recipes/reward_report.py model_file=runs/meta_train/point_maze/pemirl/seed0/model.safetensors
     python recipes/reward_report.py transfer=true  # and what policies trained on it reach
 
 Writes ``report.md``, ``report.json`` and figures to ``run_dir``. The latent m of a task is the mean
@@ -285,7 +285,17 @@ def page(
 
 
 def write_report(config: DictConfig, folder: RunFolder, model: PEMIRLModel) -> RewardReport:
-    """Measure, draw, and write the page."""
+    """Measure, draw, and write the page.
+
+    Raises:
+        ValueError: the task's true reward is not a function of a position.
+    """
+    if not config.planar:
+        raise ValueError(
+            f"task={config.task} is not planar: this report needs the true reward of transitions "
+            "that never happened, as a function of the position alone; use "
+            "pemirl_trl.evaluation.reward_report with your own"
+        )
     demonstrations = load_test_demonstrations(config)
     with folder.timed("report"):
         coverage = coverage_of(config, model, demonstrations)

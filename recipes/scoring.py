@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import torch
+from config import typed
 from domains import (
     load_expert,
     returns_given_demonstrations,
@@ -12,19 +14,32 @@ from domains import (
     returns_of_random_actions,
 )
 from omegaconf import DictConfig
+from tensordict import TensorDictBase
 
 from pemirl_trl import ContextPolicy, DemonstrationDataset, PEMIRLModel
 from pemirl_trl.evaluation import Score
 
-GOAL_SETS = {"all": (-float("inf"), float("inf")), "x_in_0.1_0.4": (0.1, 0.4)}
-"""Which goals, by the range of their x in metres; the second is the test of the authors' code."""
+
+@dataclass(frozen=True)
+class Subset:
+    """Which unseen tasks, by the closed range of one component of one of their parameters."""
+
+    parameter: str
+    index: int
+    low: float
+    high: float
+
+    def mask(self, tasks: TensorDictBase) -> torch.Tensor:
+        """Which of ``tasks`` ``[C]`` belong to it, bool ``[C]``."""
+        value = tasks[self.parameter][:, self.index]
+        return (value >= self.low) & (value <= self.high)
 
 
 class Scorer:
     """Scores policies on the mean action, m the mean of q(m | demonstration).
 
     Args:
-        config: of the run; has ``experts`` by variant and ``evaluation``.
+        config: of the run; has ``experts`` by variant, ``subsets`` and ``evaluation``.
         demonstrations: one of each unseen task.
     """
 
@@ -56,19 +71,22 @@ class Scorer:
         returns = returns_given_demonstrations(
             environment, model, policy, self.demonstrations, self.config
         )
-        x = self.demonstrations.tasks()["goal"][:, 0]
-        scores = []
-        for goals, (low, high) in GOAL_SETS.items():
-            chosen = (x >= low) & (x <= high)
-            scores.append(
-                Score(
-                    variant=environment.split("/")[1],
-                    setting=setting,
-                    goals=goals,
-                    per_task=tuple(returns[chosen].tolist()),
-                    random=float(references["random"][chosen].mean()),
-                    expert=float(references["expert"][chosen].mean()),
-                    env_steps=dict(env_steps),
-                )
+        return [
+            Score(
+                variant=environment.split("/")[1],
+                setting=setting,
+                goals=goals,
+                per_task=tuple(returns[chosen].tolist()),
+                random=float(references["random"][chosen].mean()),
+                expert=float(references["expert"][chosen].mean()),
+                env_steps=dict(env_steps),
             )
-        return scores
+            for goals, chosen in self._subsets().items()
+        ]
+
+    def _subsets(self) -> dict[str, torch.Tensor]:
+        tasks = self.demonstrations.tasks()
+        masks = {"all": torch.ones(len(tasks), dtype=torch.bool)}
+        for name, range_ in self.config.subsets.items():
+            masks[str(name)] = typed(Subset, range_).mask(tasks)
+        return masks

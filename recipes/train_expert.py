@@ -2,6 +2,7 @@
 
     python recipes/train_expert.py
     python recipes/train_expert.py environment=point_maze/right output=my_expert.safetensors
+    python recipes/train_expert.py task=ant
 
 Writes the policy's weights to ``output``; everything else goes to ``run_dir``.
 """
@@ -33,7 +34,7 @@ def train_expert(config: DictConfig, folder: RunFolder) -> float:
         seed=config.seed,
         threads=config.threads,
     )
-    policy = expert_policy(task, config.task_key, list(config.hidden))
+    policy = expert_policy(task, config.task_key, config.policy)
     method = PolicyOptimization(
         env,
         policy,
@@ -44,19 +45,21 @@ def train_expert(config: DictConfig, folder: RunFolder) -> float:
     folder.train("expert", method, show="return/true")
     tasks = pemirl_envs.task_parameters(task, "test")
     returns = returns_given_tasks(task, policy, tasks, config)
+    output = config.output or config.experts[task.split("/")[1]]
     save_weights(
-        config.output,
+        output,
         {"policy": policy},
         {
             "environment": task,
             "task_key": config.task_key,
-            "hidden": ",".join(map(str, config.hidden)),
+            "hidden": ",".join(map(str, config.policy.hidden)),
+            "activation": config.policy.activation,
             "seed": str(config.seed),
             "env_steps": str(method.env_steps),
             "test_return": f"{float(returns.mean()):.4f}",
         },
     )
-    say(f"expert on {task}: {float(returns.mean()):.2f} over the test tasks -> {config.output}")
+    say(f"expert on {task}: {float(returns.mean()):.2f} over the test tasks -> {output}")
     return float(returns.mean())
 
 
