@@ -1,6 +1,6 @@
 """Infer r(s, m) of new tasks from one demonstration each, and train a policy on it (Algorithm 2).
 
-    python recipes/adapt_reward.py model_file=runs/meta_train/point_maze/pemirl_robust/seed0/model.safetensors
+    python recipes/adapt_reward.py model_file=runs/my_run/model.safetensors
     python recipes/adapt_reward.py task=ant
     python recipes/adapt_reward.py test_demonstrations=my_demonstration.safetensors
 

@@ -150,15 +150,24 @@ def test_the_options_of_a_method_reach_it(recipe):
 @pytest.mark.skipif(
     os.environ.get("MUJOCO_GL", "disable") == "disable", reason="no OpenGL library to render with"
 )
-def test_a_run_is_filmed(smoke, recipe, monkeypatch):
+@pytest.mark.parametrize("policy", ["adapted", "expert"])
+def test_a_policy_is_filmed(smoke, recipe, monkeypatch, policy):
     monkeypatch.chdir(smoke[0])
-    values = config("record_video", "run=smoke", "tasks=2", "output=film.mp4")
+    values = config(
+        "record_video", "run=smoke", f"policy={policy}", "tasks=2", "output=film.mp4", "width=64",
+        "height=48",
+    )  # fmt: skip
     recipe("record_video").record_video(values)
     decode = [get_ffmpeg_exe(), "-i", "film.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     film = subprocess.run(decode, capture_output=True, check=True).stdout
     frame = len(film) // 200  # two episodes of 100 steps
     assert len(film) == 200 * frame > 0
     assert film[:frame] != film[99 * frame : 100 * frame]
+
+
+def test_there_is_no_other_policy_to_film(recipe):
+    with pytest.raises(ValueError, match=r"unknown policy 'best'; choose one of \['adapted', 'exp"):
+        recipe("record_video").record_video(config("record_video", "policy=best"))
 
 
 def test_a_folder_of_another_configuration_is_refused(smoke, recipe, monkeypatch):
