@@ -19,7 +19,7 @@ from config import plain
 from drawing import draw_learning_curve, draw_reward_maps
 from omegaconf import DictConfig
 from run_folder import RunFolder, say
-from scoring import Scorer
+from scoring import Scorer, context_measures
 
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
 from pemirl_trl.checkpoint import read_metadata
@@ -38,11 +38,13 @@ def evaluate(
         config.method: read_curve(meta_run, config.method),
         "adaptation": read_curve(adaptation_run, "adaptation"),
     }
+    contexts = {config.method: context_measures(config, model)}
     with folder.timed("evaluation"):
         scores = {config.method: _scores(config, model, demonstrations, meta_run, adaptation_run)}
         if (meta_run / "meta_il.safetensors").exists():
             meta_il = load_model(meta_run / "meta_il.safetensors")
             scores["meta_il"] = _transfer(config, meta_il, demonstrations, 0)
+            contexts["meta_il"] = context_measures(config, meta_il)
     seconds = read_seconds(meta_run) | read_seconds(adaptation_run) | folder.seconds
     results = [
         Result(
@@ -53,6 +55,7 @@ def evaluate(
             split="test",
             scores=tuple(of_row),
             curves=curves if row == config.method else {},
+            reward=contexts.get(row, {}),
             seconds=seconds,
             config=plain(config),
             **environment_facts(),
@@ -62,6 +65,10 @@ def evaluate(
     for result in results:
         result.write(Path(config.results) / f"{result.row}.json")
     say(returns_table(results))
+    for row, measures in contexts.items():
+        if measures:
+            read_off = ", ".join(f"{k.split('/')[1]} {v:.3f}" for k, v in measures.items())
+            say(f"{row}: the task, read off the contexts of held-out demonstrations: {read_off}")
     if config.planar:
         draw_reward_maps(config, model, demonstrations, folder.file("figures/reward_maps.png"))
     draw_learning_curve(

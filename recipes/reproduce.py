@@ -28,7 +28,7 @@ from meta_train import meta_train, train_meta_il
 from omegaconf import DictConfig, OmegaConf
 from reward_report import measure_reward
 from run_folder import RunFolder, say
-from scoring import Scorer
+from scoring import Scorer, context_measures
 
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
 from pemirl_trl.checkpoint import read_metadata
@@ -55,10 +55,10 @@ def run(config: DictConfig) -> Result | None:
         raise ValueError("algorithm=meta_il needs contexts; got model.context_dim=0")
     demonstrations = load_test_demonstrations(config)
     scores = measure(config, folder, model, demonstrations)
-    reward: dict[str, float] = {}
+    reward = context_measures(config, model)
     if config.measure_reward:
         with folder.timed("reward_report"):
-            reward = measure_reward(config, model, demonstrations).summary()
+            reward |= measure_reward(config, model, demonstrations).summary()
     stages = sorted(file.stem for file in folder.file("curves").glob("*.json"))
     result = Result(
         table=config.table_name,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from config import typed
 from domains import (
+    data_file,
     load_expert,
     returns_given_demonstrations,
     returns_given_tasks,
@@ -17,7 +18,7 @@ from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
 from pemirl_trl import ContextPolicy, DemonstrationDataset, PEMIRLModel
-from pemirl_trl.evaluation import Score
+from pemirl_trl.evaluation import Score, linear_probe
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,22 @@ class Subset:
         """Which of ``tasks`` ``[C]`` belong to it, bool ``[C]``."""
         value = tasks[self.parameter][:, self.index]
         return (value >= self.low) & (value <= self.high)
+
+
+@torch.no_grad()
+def context_measures(config: DictConfig, model: PEMIRLModel) -> dict[str, float]:
+    """How well the task can be read off the contexts of held-out demonstrations, all there are.
+
+    A linear probe is fitted on the training demonstrations; empty for a model without contexts.
+    """
+    if model.config.context_dim == 0:
+        return {}
+    halves = []
+    for name in (config.demonstrations, config.test_demonstrations):
+        demonstrations = DemonstrationDataset.load(data_file(name))
+        task = demonstrations.tasks()[config.task_key]
+        halves += [model.encoder.get_dist(demonstrations.trajectories()).mean, task]
+    return {f"context/{name}": value for name, value in linear_probe(*halves).items()}
 
 
 class Scorer:

@@ -4,6 +4,7 @@ Figures are in :mod:`pemirl_trl.evaluation.figures` and :mod:`pemirl_trl.evaluat
 which are not imported here, since they need matplotlib.
 """
 
+from pemirl_trl.evaluation.context_quality import linear_probe
 from pemirl_trl.evaluation.convergence import Stage, convergence_table, steps_to_converge
 from pemirl_trl.evaluation.results import (
     SETTINGS,
@@ -87,6 +88,7 @@ __all__ = [
     "independent_samples",
     "iqm",
     "iqm_interval",
+    "linear_probe",
     "map_of_reward",
     "normalised_return",
     "pearson",

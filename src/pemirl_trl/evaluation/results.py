@@ -125,7 +125,8 @@ class Result:
         seed: seed of the run.
         split: which unseen tasks: ``test``, or ``validation`` where settings are chosen.
         scores: returns, by setting, dynamics and goals.
-        reward: measures of the learned reward, by name; empty where there is none.
+        reward: measures of the learned reward, and of the contexts that it reads (``context/...``),
+            by name; empty where there is none.
         curves: ``(environment steps, true return)`` over training, by stage.
         seconds: wall-clock seconds by stage.
         config: the run's whole configuration.
