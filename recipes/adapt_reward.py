@@ -58,7 +58,7 @@ def adapt(
     torch.manual_seed(config.seed)
     name = environment_name or config.test_environment
     demonstrations = load_test_demonstrations(config)
-    rollouts = config.adaptation.rollouts_per_context
+    rollouts = max(1, config.adaptation.rollouts // len(demonstrations))
     transform = InferContext(
         model.encoder,
         demonstrations.trajectories(),

@@ -95,7 +95,7 @@ def test_stages_compose(smoke, recipe, monkeypatch):
     cwd, _ = smoke
     monkeypatch.chdir(cwd)
     folder = recipe("run_folder").RunFolder
-    tiny = ("adaptation.optimization.iterations=1", "adaptation.rollouts_per_context=2")
+    tiny = ("adaptation.optimization.iterations=1", "adaptation.rollouts=60")
     adapted = config("adapt_reward", *tiny, "run_dir=adapted", "logger=null")
     model = load_model(cwd / "smoke/model.safetensors")
     recipe("adapt_reward").adapt(adapted, folder(adapted), model)

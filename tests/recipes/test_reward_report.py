@@ -84,7 +84,7 @@ def test_the_recipe_writes_its_page(recipe, model, tmp_path, monkeypatch):
     save_model("model.safetensors", model)
     tiny = (
         "transfer=true",
-        "adaptation.rollouts_per_context=2",
+        "adaptation.rollouts=60",
         "adaptation.optimization.iterations=1",
         "evaluation.episodes=1",
     )
