@@ -1,9 +1,11 @@
 """Run every row of a table, over seeds: the paper's experiments, the baselines, the ablations.
 
     python recipes/reproduce.py table=point_maze
+    python recipes/reproduce.py table=ant
     python recipes/reproduce.py table=ablations
     python recipes/reproduce.py table=point_maze hydra.launcher.n_jobs=4
-    python recipes/reproduce.py table=point_maze hydra/launcher=basic row=pemirl seed=0  # one run
+    python recipes/reproduce.py hydra.mode=RUN row=pemirl seed=0                   # one run
+    python recipes/reproduce.py hydra/launcher=submitit_slurm              # hydra-submitit-launcher
 
 One job per row and seed (conf/table, conf/row), as many at a time as ``hydra.launcher.n_jobs``.
 Each seed has its own demonstrations and its own Meta-IL, which all its rows share. A job writes
@@ -15,6 +17,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from pathlib import Path
 
 import hydra
@@ -108,7 +111,7 @@ def draw_demonstrations(config: DictConfig) -> None:
     """This seed's own demonstrations of the training and of the unseen tasks."""
     wanted = {
         config.demonstrations: (config.train_split, config.train_per_task),
-        config.test_demonstrations: (config.test_split, 1),
+        config.test_demonstrations: (config.test_split, config.demonstrations_per_task),
     }
     for output, (split, per_task) in wanted.items():
         Path(output).parent.mkdir(parents=True, exist_ok=True)
@@ -157,4 +160,7 @@ def main(config: DictConfig) -> None:
 
 
 if __name__ == "__main__":
+    # Launchers that start processes anew (submitit, Ray) have to find this folder's modules.
+    paths = (str(Path(__file__).resolve().parent), os.environ.get("PYTHONPATH"))
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
     main()
