@@ -17,6 +17,7 @@ HEADLESS = {"MUJOCO_GL": "osmesa" if find_library("OSMesa") else "disable"} | {
 }
 # glibc hands large freed blocks back to the kernel, which then clears them anew for each batch.
 KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": "2000000000", "MALLOC_MMAP_THRESHOLD_": "2000000000"}
+STEPPED = ("point_maze/left", "ant/normal", "sweeper/normal", "sawyer_pusher/normal")
 DETERMINISTIC = HEADLESS | {"CUDA_VISIBLE_DEVICES": ""}
 
 SMOKE = """
@@ -82,14 +83,17 @@ def quickstart(session: nox.Session) -> None:
 
 @nox.session
 def bench(session: nox.Session) -> None:
-    """Measure throughput, beside the raw engine; arguments go to both (``--num-threads 2``)."""
+    """Measure throughput, beside the raw engine; arguments go to all (``--num-threads 2``)."""
     install(session, ".[test]")
     results = Path("results/benchmarks")
     results.mkdir(parents=True, exist_ok=True)
-    for name in ("stepping", "training"):
-        output = ("--output", str(results / f"{name}.json"))
-        env = HEADLESS | KEEP_MEMORY
-        session.run("python", f"benchmarks/{name}.py", *output, *session.posargs, env=env)
+    env = HEADLESS | KEEP_MEMORY
+    for task in STEPPED:
+        output = ("--output", str(results / f"stepping_{task.split('/')[0]}.json"))
+        options = ("--task", task, *output, *session.posargs)
+        session.run("python", "benchmarks/stepping.py", *options, env=env)
+    output = ("--output", str(results / "training.json"))
+    session.run("python", "benchmarks/training.py", *output, *session.posargs, env=env)
 
 
 @nox.session(reuse_venv=False)

@@ -2,10 +2,10 @@
 
 Runs interleaved repetitions of each contender in one process, so that a change in the machine's
 load meets all of them, and reports medians and their ratios to the raw engine. The raw engine
-replays the controls that the policy drew, from the same states: contacts cost time, so other
-controls would be other work. Torch runs on one thread, as in the recipes::
+replays the controls that the policy drew, from the same states, and computes the stage that the
+task reads: contacts cost time, so other controls would be other work. Torch runs on one thread, as in the recipes::
 
-    python benchmarks/stepping.py --num-envs 800 --output stepping.json
+    python benchmarks/stepping.py --task sweeper/normal --num-envs 800 --output sweeper.json
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from pemirl_envs.simulation.timers import timers_off
 from pemirl_trl import ContextPolicy
 
 Runs = dict[str, Callable[[], object]]
+Controls = dict[str, np.ndarray]
 
 
 def gaussian_actor(env: TaskEnv) -> ContextPolicy:
@@ -50,15 +51,21 @@ def gaussian_actor(env: TaskEnv) -> ContextPolicy:
     )
 
 
-def recorded(env: TaskEnv, actor: ContextPolicy) -> tuple[Tensor, Tensor]:
-    """The states at a reset, and the clipped actions ``[T, N, A]`` of an episode from them."""
-    data, actions = env.reset(), []
+def recorded(env: TaskEnv, actor: ContextPolicy) -> tuple[Tensor, Tensor, list[Controls]]:
+    """The states at a reset, and what the actor then did in an episode.
+
+    Its clipped actions ``[T, N, A]``, and for each step the engine's fields that they set.
+    """
+    data, actions, controls = env.reset(), [], []
     start = env.physics_state()
     low, high = env.task.action_bounds
     for _ in range(env.task.horizon):
-        step, data = env.step_and_maybe_reset(actor(data))
-        actions.append(step["action"].clamp(low, high))
-    return start, torch.stack(actions)
+        data = actor(data)
+        actions.append(data["action"].clamp(low, high))
+        control = env.task.control(env.episodes.simulation.field, actions[-1])
+        controls.append({name: value.double().numpy() for name, value in control.items()})
+        data = env.step_and_maybe_reset(data)[1]
+    return start, torch.stack(actions), controls
 
 
 def contenders(name: str, num_envs: int, num_threads: int | None) -> Runs:
@@ -77,15 +84,16 @@ def contenders(name: str, num_envs: int, num_threads: int | None) -> Runs:
         auto_register_policy_transforms=False,
     )
     batches = iter(collector)
-    start, actions = recorded(env, actor)
+    start, actions, controls = recorded(env, actor)
     batch = Batch(task.model, num_envs, env.episodes.simulation.num_threads)
-    controls = actions.double().numpy()
+    fields = {name: batch.bind(name) for name in controls[0]}
 
     def engine_as_shipped() -> None:
         batch.state[:] = start.numpy()
         for control in controls:
-            batch.ctrl[:] = control
-            batch.step(nstep=task.n_sub_steps)
+            for name, values in control.items():
+                fields[name][:] = values
+            batch.step(None, task.n_sub_steps, task.stage)
 
     def raw_engine() -> None:
         with timers_off():  # as the environment does: the faster yardstick

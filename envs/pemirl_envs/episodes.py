@@ -147,7 +147,9 @@ class Episodes:
         failures = {i: "the action is not finite" for i in (~finite).nonzero().flatten().tolist()}
         control = torch.clamp(action.detach(), low, high)
         reward = self.task.reward(self.simulation.field, control, self.parameters)
-        self.simulation.write(self.task.control(self.simulation.field, control), healthy)
+        # The step that follows computes what derives from them.
+        controls = self.task.control(self.simulation.field, control)
+        self.simulation.write(controls, healthy, refresh=False)
         failures |= self.simulation.step(self.task.n_sub_steps, healthy)
         if failures:
             healthy = torch.ones_like(finite)

@@ -27,8 +27,11 @@ class Simulation(Protocol):
     def field(self, name: str) -> Tensor:
         """The current values of a named field, ``[N, ...]``: a live view; read, do not keep."""
 
-    def write(self, state: State, mask: Tensor | None = None) -> None:
-        """Writes state fields of the simulations in ``mask`` (bool ``[N]``; ``None``: all)."""
+    def write(self, state: State, mask: Tensor | None = None, *, refresh: bool = True) -> None:
+        """Writes state fields of the simulations in ``mask`` (bool ``[N]``; ``None``: all).
+
+        Without ``refresh``, derived fields keep their values until the next step.
+        """
 
     def step(self, n_sub_steps: int, mask: Tensor | None = None) -> dict[int, str]:
         """Advances the simulations in ``mask`` by ``n_sub_steps`` physics steps.

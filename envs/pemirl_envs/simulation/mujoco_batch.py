@@ -101,8 +101,10 @@ class MujocoBatch:
             self._batch.forward(stage=self._stage)  # it would be zero until the next call
         return torch.from_numpy(self._derived_fields[name].copy())
 
-    def write(self, state: State, mask: Tensor | None = None) -> None:
+    def write(self, state: State, mask: Tensor | None = None, *, refresh: bool = True) -> None:
         """Writes state fields of the simulations in ``mask`` (bool ``[N]``; ``None``: all).
+
+        Without ``refresh``, derived fields keep their values until the next step.
 
         Raises:
             ValueError: a field is not a state field.
@@ -117,7 +119,7 @@ class MujocoBatch:
                 field.copy_(values)
             else:
                 field[mask] = values[mask].to(field.dtype)
-        if self._computes_derived and state.keys() - {"ctrl"}:
+        if refresh and self._computes_derived and state.keys() - {"ctrl"}:
             self._batch.forward(_ids(mask), stage=self._stage)
 
     def step(self, n_sub_steps: int, mask: Tensor | None = None) -> dict[int, str]:

@@ -143,6 +143,20 @@ def test_derived_fields_are_current_after_every_change_of_state():
     assert_current()
 
 
+def test_a_write_before_a_step_may_leave_derived_fields_to_the_step():
+    batches = [MujocoBatch(PENDULUM, 2, 1, stage=mujoco.mjtStage.mjSTAGE_POS) for _ in range(2)]
+    start = batches[0].field("site_xpos")
+    for batch, refresh in zip(batches, (True, False), strict=True):
+        batch.field("site_xpos")
+        batch.write({"qpos": torch.full((2, 1), 0.5)}, refresh=refresh)
+    assert not torch.equal(batches[0].field("site_xpos"), start)
+    assert torch.equal(batches[1].field("site_xpos"), start)
+    for batch in batches:
+        batch.step(N_SUB_STEPS)
+    assert torch.equal(batches[0].state, batches[1].state)
+    assert torch.equal(batches[0].field("site_xpos"), batches[1].field("site_xpos"))
+
+
 def test_a_derived_field_without_a_stage_is_refused(model):
     with pytest.raises(ValueError, match="computes no stage: pass stage="):
         MujocoBatch(model, 1).field("xpos")
