@@ -3,7 +3,8 @@
 Runs interleaved repetitions of each contender in one process, so that a change in the machine's
 load meets all of them, and reports medians and their ratios to the raw engine. The raw engine
 replays the controls that the policy drew, from the same states, and computes the stage that the
-task reads: contacts cost time, so other controls would be other work. Torch runs on one thread, as in the recipes::
+task reads: contacts cost time, so other controls would be other work. Torch runs on one thread, as
+in the recipes::
 
     python benchmarks/stepping.py --task sweeper/normal --num-envs 800 --output sweeper.json
 """
