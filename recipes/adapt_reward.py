@@ -16,9 +16,10 @@ from pathlib import Path
 import hydra
 import torch
 from config import typed
-from domains import data_file, environment, one_per_task
+from domains import data_file, environment, one_per_task, true_reward_module
 from omegaconf import DictConfig
 from run_folder import RunFolder, say
+from tensordict.nn import TensorDictModuleBase
 
 from pemirl_trl import ContextPolicy, DemonstrationDataset, InferContext, PEMIRLModel
 from pemirl_trl.checkpoint import load_weights, read_metadata, save_weights
@@ -74,15 +75,20 @@ def adapt(
         learn_scale=False,
         activation=config.adaptation.policy_activation,
     )
+    reward: TensorDictModuleBase | None = model.reward
     optimization = typed(PolicyOptimizationConfig, config.adaptation.optimization)
+    if true_reward and config.planar:  # known as a function: the oracle's optimiser is the same
+        reward = true_reward_module(name, config.task_key)
+    elif true_reward:
+        reward, optimization = None, dataclasses.replace(optimization, imitate_best=0.0)
     method = PolicyOptimization(
         env,
         policy,
         model.horizon,
-        # Across tasks only a learned reward is known, so the oracle does without.
-        dataclasses.replace(optimization, imitate_best=0.0) if true_reward else optimization,
+        optimization,
         rollouts_per_context=rollouts,
-        reward=None if true_reward else model.reward,
+        reward=reward,
+        task_keys=("context", ("task", config.task_key)) if true_reward else ("context",),
     )
     folder.train(stage, method, show="return/true")
     file = folder.file("policy.safetensors" if stage == "adaptation" else f"{stage}.safetensors")

@@ -9,6 +9,8 @@ from typing import Any
 import torch
 from omegaconf import DictConfig
 from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor
 from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 import pemirl_envs
@@ -100,6 +102,26 @@ def load_expert(path: str) -> ContextPolicy:
     policy = expert_policy(facts["environment"], facts["task_key"], sizes)
     load_weights(file, {"policy": policy})
     return policy
+
+
+def true_reward_module(name: str, task_key: str) -> TensorDictModule:
+    """The reward of a planar task, of ``observation``, ``action`` and ``("task", task_key)``.
+
+    Writes ``learned_reward``, as a learned one does. It is the task's own function of its engine's
+    fields, of which it reads the position alone: the observation, measured from the start.
+    """
+    task = pemirl_envs.get_task(name)
+    start = torch.tensor(task.layout().start, dtype=torch.float64)
+    low, high = task.action_bounds
+
+    def reward(observation: Tensor, action: Tensor, parameter: Tensor) -> Tensor:
+        rows = [value.flatten(0, -2) for value in (observation, action, parameter)]
+        fields = {"qpos": rows[0].double() - start}
+        value = task.reward(fields.__getitem__, rows[1].clamp(low, high), {task_key: rows[2]})
+        return value.view(*observation.shape[:-1], 1)
+
+    keys = ["observation", "action", ("task", task_key)]
+    return TensorDictModule(reward, in_keys=keys, out_keys=["learned_reward"])
 
 
 def one_per_task(demonstrations: DemonstrationDataset, per_task: int) -> DemonstrationDataset:

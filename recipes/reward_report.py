@@ -24,6 +24,7 @@ from domains import (
     returns_given_demonstrations,
     returns_given_tasks,
     returns_of_random_actions,
+    true_reward_module,
 )
 from omegaconf import DictConfig
 from run_folder import RunFolder, say
@@ -100,21 +101,12 @@ def coverage_of(
     return {"random": random, "expert": expert, "mixed": mixed}
 
 
-def true_reward(name: str) -> RewardFunction:
-    """The reward that a planar task gives for any transition, possible or not.
-
-    It is the task's own function of its engine's fields, of which it reads the position alone: the
-    observation, measured from the start.
-    """
-    task = pemirl_envs.get_task(name)
-    start = torch.tensor(task.layout().start, dtype=torch.float64)
-    low, high = task.action_bounds
+def true_reward(name: str, task_key: str) -> RewardFunction:
+    """The reward that a planar task gives for any transition, possible or not."""
+    module = true_reward_module(name, task_key)
 
     def reward(transitions: TensorDictBase) -> Tensor:
-        flat = transitions.reshape(-1)
-        fields = {"qpos": flat["observation"].double() - start}
-        action = flat["action"].clamp(low, high)
-        return task.reward(fields.__getitem__, action, flat["task"]).view(transitions.shape)
+        return module(transitions.select(*module.in_keys))["learned_reward"].squeeze(-1)
 
     return reward
 
@@ -162,7 +154,7 @@ def _measure(
     settings = _settings(config)
     return reward_report(
         _rewards(model),
-        true_reward(config.test_environment),
+        true_reward(config.test_environment, config.task_key),
         coverage,
         gamma=model.reward.gamma,
         positions=_grid(config)[1],

@@ -36,7 +36,29 @@ def test_cross_returns_equal_a_loop_over_contexts():
     expected = torch.stack(
         [model.reward.reward(data["observation"], m.expand(7, 5, 3)).sum((1, 2)) for m in context]
     )
-    assert torch.allclose(cross_returns(model.reward, data, context), expected, atol=1e-5)
+    tasks = TensorDict({"context": context}, [6])
+    assert torch.allclose(cross_returns(model.reward, data, tasks), expected, atol=1e-5)
+
+
+def test_a_task_may_be_made_of_several_keys():
+    """An oracle's reward reads the goal, its policy a context: both belong to the task."""
+    towards_goal = TensorDictModule(
+        lambda s, g: -(s - g).abs(),
+        in_keys=["observation", ("task", "goal")],
+        out_keys=["learned_reward"],
+    )
+    data = rollouts([0.5, 0.9, 0.4, 0.2], [7.0, 8.0])
+    goals = torch.tensor([0.0, 0.0, 1.0, 1.0]).view(4, 1, 1).expand(4, 8, 1)
+    data.set(("task", "goal"), goals)
+    best = BestTrajectories(towards_goal, 2, task_keys=("context", ("task", "goal")))
+    best.update(data)
+    kept = best.state_dict()
+    assert kept["observation"][:, 0, 0].tolist() == pytest.approx([0.2, 0.9])
+    assert kept["context"][:, 0].tolist() == [7.0, 8.0]
+    assert kept["task.goal"][:, 0].tolist() == [0.0, 1.0]
+    resumed = BestTrajectories(towards_goal, 2, task_keys=("context", ("task", "goal")))
+    resumed.load_state_dict(kept)
+    assert resumed.update(data)["best/from_other_tasks"] == 0.0
 
 
 def test_a_task_takes_the_best_trajectory_whoever_found_it():
@@ -46,7 +68,7 @@ def test_a_task_takes_the_best_trajectory_whoever_found_it():
     kept = best.state_dict()
     assert kept["observation"][:, 0, 0].tolist() == pytest.approx([0.2, 0.9])
     assert kept["action"][:, 0, 0].tolist() == pytest.approx([2.0, 9.0])
-    assert kept["context"][:, 0, 0].tolist() == [0.0, 1.0]
+    assert kept["context"][:, 0].tolist() == [0.0, 1.0]
     assert metrics["best/return"] == pytest.approx(-8 * (0.2 + 0.1) / 2)
     assert metrics["best/from_other_tasks"] == 1.0
 

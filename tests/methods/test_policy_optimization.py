@@ -67,7 +67,7 @@ def test_a_free_deviation_is_learned(reach):
 
 
 def test_imitating_the_best_needs_a_learned_reward(reach):
-    with pytest.raises(ValueError, match="needs a learned reward"):
+    with pytest.raises(ValueError, match="needs a reward that scores any task"):
         reach.policy_optimization(iterations=2, imitate_best=1.0)
 
 
@@ -80,7 +80,8 @@ def test_the_best_trajectories_are_kept_imitated_and_checkpointed(reach):
     assert best == sorted(best)
     assert best[-1] > best[0]
     kept = method.components()["best"].state_dict()
-    batch = TensorDict({k: kept[k] for k in ("observation", "context")}, kept["action"].shape[:2])
+    context = kept["context"].unsqueeze(1).expand(*kept["action"].shape[:2], -1)
+    batch = TensorDict({"observation": kept["observation"], "context": context}, context.shape[:2])
     error = method.policy.get_dist(batch).mean - kept["action"]
     plain = reach.policy_optimization(learned=True, iterations=10, final_scale=0.1)
     for _ in range(plain.iterations):

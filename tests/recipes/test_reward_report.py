@@ -48,7 +48,7 @@ def config(*overrides):
 def test_coverage_is_what_the_report_states(recipe, model, demonstrations):
     coverage = recipe.coverage_of(config(), model, demonstrations)
     assert {batch.batch_size for batch in coverage.values()} == {(TASKS, EPISODES * 100)}
-    true = recipe.true_reward("point_maze/right")
+    true = recipe.true_reward("point_maze/right", "goal")
     context = model.encoder.get_dist(demonstrations.trajectories()).mean
     for batch in coverage.values():
         # Every row is its task's, with its demonstration's m and the reward that it was given.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import NestedKey
 from torch import Tensor
 
 from pemirl_trl.modules import ContextPolicy
@@ -18,39 +19,45 @@ _STRIDE = 4  # steps between those that are scored: a ranking needs no more, and
 
 @torch.no_grad()
 def cross_returns(
-    reward: TensorDictModuleBase, rollouts: TensorDictBase, context: Tensor
+    reward: TensorDictModuleBase, rollouts: TensorDictBase, tasks: TensorDictBase
 ) -> Tensor:
-    """Learned return sum_t r(s_t, m_j) of every rollout under every context, ``[M, N]``.
+    """Return sum_t r(s_t, m_j) of every rollout under every task, ``[M, N]``.
 
     Args:
-        reward: reads ``context`` and writes ``learned_reward``.
+        reward: writes ``learned_reward`` ``[..., 1]``.
         rollouts: batch size ``[N, T]``.
-        context: m, ``[M, D]``.
+        tasks: batch size ``[M]``; what a task is made of, such as ``context`` ``[M, D]``.
     """
+    own = list(tasks.keys(include_nested=True, leaves_only=True))
     # r is a function of a step's start; f alone reads the next observation.
     here = [k for k in reward.in_keys if not (isinstance(k, tuple) and k[0] == "next")]
-    data = rollouts.select(*(k for k in here if k != "context"))
+    data = rollouts.select(*(k for k in here if k not in own))
 
-    def returns(m: Tensor) -> Tensor:
-        batch = data.copy().set("context", m.expand(*data.shape, -1))
+    def returns(task: TensorDictBase) -> Tensor:
+        batch = data.copy()
+        for key in own:
+            batch.set(key, task[key].expand(*data.shape, -1))
         return reward(batch)["learned_reward"].squeeze(-1).sum(-1)
 
-    return torch.vmap(returns, chunk_size=4)(context)
+    return torch.vmap(returns, chunk_size=4)(tasks)
 
 
 class BestTrajectories:
     """Self-imitation (Oh et al., 2018) across tasks, by relabelling (Eysenbach et al., 2020).
 
-    A learned reward scores any trajectory under any task. What one task's policy stumbled upon is
-    therefore found by all: a policy on the way to a near goal has passed the gap in the wall that
-    the policy of a far goal, whose reward is flat there, would not look for.
+    A reward that is known as a function scores any trajectory under any task. What one task's
+    policy stumbled upon is therefore found by all: a policy on the way to a near goal has passed
+    the gap in the wall that the policy of a far goal, whose reward is flat there, would not look
+    for.
 
     Args:
-        reward: reads ``context`` and writes ``learned_reward``.
-        rollouts_per_context: K; consecutive rollouts that share a context.
+        reward: writes ``learned_reward``: a learned reward, or the true one for an oracle.
+        rollouts_per_context: K; consecutive rollouts that share a task.
         action_bounds: ``(low, high)`` to which the simulator clamps; actions are kept clamped. A
             mean that imitates noise far beyond them would no longer feel its gradient once the
             noise is gone.
+        task_keys: what a task is made of: all that reward and policy read beside observations and
+            actions, each ``[M K, T, ...]`` in rollouts.
     """
 
     def __init__(
@@ -58,31 +65,28 @@ class BestTrajectories:
         reward: TensorDictModuleBase,
         rollouts_per_context: int,
         action_bounds: tuple[Tensor, Tensor] | None = None,
+        *,
+        task_keys: Sequence[NestedKey] = ("context",),
     ) -> None:
         self.reward, self.rollouts_per_context = reward, rollouts_per_context
-        self.action_bounds = action_bounds
-        self._best: TensorDict | None = None  # [M]; observation and action [M, T, ...]
+        self.action_bounds, self.task_keys = action_bounds, tuple(task_keys)
+        self._best: TensorDictBase | None = None  # [M]; observation and action [M, T, ...]
 
     def update(self, rollouts: TensorDictBase) -> dict[str, float]:
-        """Take what is better than before; contexts are those of the first call, in its order.
+        """Take what is better than before; tasks are those of the first call, in its order.
 
         Args:
-            rollouts: ``[M K, T]``, with ``context``.
+            rollouts: ``[M K, T]``, with the task's keys.
 
         Returns:
             Metrics: the mean best return, and the share of tasks whose best is new and was
             collected for another task.
         """
-        context = rollouts["context"][:: self.rollouts_per_context, 0]
-        best, row = cross_returns(self.reward, rollouts[:, ::_STRIDE], context).max(1)
-        candidate = TensorDict(
-            {key: rollouts[key][row] for key in _KEPT}
-            | {
-                "context": rollouts["context"][:: self.rollouts_per_context].clone(),
-                "return": best,
-            },
-            [len(context)],
-        )
+        tasks = rollouts[:: self.rollouts_per_context, 0].select(*self.task_keys).clone()
+        best, row = cross_returns(self.reward, rollouts[:, ::_STRIDE], tasks).max(1)
+        candidate = tasks.set("return", best)
+        for key in _KEPT:
+            candidate.set(key, rollouts[key][row])
         if self.action_bounds is not None:
             candidate["action"] = candidate["action"].clamp(*self.action_bounds)
         if self._best is None:
@@ -90,7 +94,7 @@ class BestTrajectories:
         else:
             better = best > self._best["return"]
             self._best[better] = candidate[better]
-        foreign = row // self.rollouts_per_context != torch.arange(len(context))
+        foreign = row // self.rollouts_per_context != torch.arange(len(best))
         return {
             "best/return": float(self._best["return"].mean()) * _STRIDE,
             "best/from_other_tasks": float((better & foreign).float().mean()),
@@ -104,11 +108,11 @@ class BestTrajectories:
         """
         if self._best is None:
             raise RuntimeError("no trajectories yet: call update first")
-        best = self._best
-        observation, context, action = (
-            best[key].flatten(0, 1) for key in ("observation", "context", "action")
-        )
-        batch = TensorDict({"observation": observation, "context": context}, action.shape[:1])
+        steps = self._best["action"].shape[:2]
+        batch = TensorDict({"observation": self._best["observation"]}, steps)
+        for key in self.task_keys:
+            batch.set(key, self._best[key].unsqueeze(1).expand(*steps, -1))
+        batch, action = batch.reshape(-1), self._best["action"].flatten(0, 1)
 
         def loss() -> Tensor:
             error = policy.get_dist(batch.copy()).mean - action
@@ -118,8 +122,10 @@ class BestTrajectories:
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint holds."""
-        return {} if self._best is None else dict(self._best.items())
+        return {} if self._best is None else dict(self._best.flatten_keys(".").items())
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue a run."""
-        self._best = TensorDict(state, [len(state["return"])]) if state else None
+        self._best = None
+        if state:
+            self._best = TensorDict(state, [len(state["return"])]).unflatten_keys(".")

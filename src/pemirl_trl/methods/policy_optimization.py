@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import NestedKey
 from torchrl.data.tensor_specs import ContinuousBox
 from torchrl.envs import EnvBase
 
@@ -29,8 +31,8 @@ class PolicyOptimizationConfig:
             policy's initial one to this, over ``anneal_fraction`` of the iterations.
         anneal_fraction: see ``final_scale``.
         imitate_best: weight, beside standardised advantages, of the squared error to the actions of
-            the best trajectory that any task's policy has found for each task; needs a learned
-            reward (see :class:`BestTrajectories`). 0 is off.
+            the best trajectory that any task's policy has found for each task; needs a reward that
+            is known as a function (see :class:`BestTrajectories`). 0 is off.
     """
 
     iterations: int = 100
@@ -53,10 +55,12 @@ class PolicyOptimization:
         config: of the optimisation.
         rollouts_per_context: consecutive environments that share a task.
         reward: writes ``learned_reward``; None trains on the environment's own.
+        task_keys: what distinguishes tasks, for ``imitate_best``: what reward and policy read
+            beside observations and actions.
 
     Raises:
-        ValueError: ``imitate_best`` without a learned reward: the environment's own is known only
-            for the task that a trajectory was collected for.
+        ValueError: ``imitate_best`` without a reward: the environment's own is known only for the
+            task that a trajectory was collected for.
     """
 
     def __init__(
@@ -68,6 +72,7 @@ class PolicyOptimization:
         *,
         rollouts_per_context: int,
         reward: TensorDictModuleBase | None = None,
+        task_keys: Sequence[NestedKey] = ("context",),
     ) -> None:
         self.config, self.policy = config, policy
         self.iterations = config.iterations
@@ -80,10 +85,12 @@ class PolicyOptimization:
         self._best: BestTrajectories | None = None
         if config.imitate_best > 0:
             if reward is None:
-                raise ValueError(f"imitate_best={config.imitate_best} needs a learned reward")
+                raise ValueError(
+                    f"imitate_best={config.imitate_best} needs a reward that scores any task"
+                )
             space = env.action_spec.space
             bounds = (space.low[0], space.high[0]) if isinstance(space, ContinuousBox) else None
-            self._best = BestTrajectories(reward, rollouts_per_context, bounds)
+            self._best = BestTrajectories(reward, rollouts_per_context, bounds, task_keys=task_keys)
 
     @property
     def env_steps(self) -> int:
