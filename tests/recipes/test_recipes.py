@@ -242,3 +242,59 @@ def test_expert_and_demonstrations(recipe, tmp_path, monkeypatch):
     again = type(demonstrations).load(tmp_path / "demos.safetensors")
     assert (again.observation == demonstrations.observation).all()
     assert again.provenance.extra["split"] == "train"
+
+
+@pytest.mark.parametrize(
+    "task",
+    [
+        "sweeper",
+        pytest.param("ant", marks=pytest.mark.long),
+        pytest.param("sawyer_pusher", marks=pytest.mark.long),
+    ],
+)
+def test_every_domain_runs_from_expert_to_evaluation(recipe, tmp_path, monkeypatch, task):
+    """By ``task=...`` alone, but for sizes and places."""
+    monkeypatch.chdir(tmp_path)
+    folder = recipe("run_folder").RunFolder
+    which = (f"task={task}", "logger=null", "threads=1", "evaluation.episodes=1")
+    facts = config("meta_train", *which)
+    places = {v: f"{v}_expert.safetensors" for v in facts.experts}
+    experts = tuple(f"experts.{v}={place}" for v, place in places.items())
+    for variant, place in places.items():
+        tiny = ("optimization.iterations=1", "tasks_per_batch=2", "rollouts_per_task=1")
+        values = config("train_expert", *which, *tiny, *experts, f"environment={task}/{variant}")
+        recipe("train_expert").train_expert(values, folder(values))
+        assert os.path.exists(place)
+    files = {"demonstrations": "train.safetensors", "test_demonstrations": "test.safetensors"}
+    for (key, place), split in zip(files.items(), (facts.train_split, "test"), strict=True):
+        few = ("per_task=1", f"split={split}", f"output={place}")
+        recipe("collect_demos").collect_demos(config("collect_demos", *which, *experts, *few))
+        assert os.path.exists(files[key])
+    given = tuple(f"{key}={place}" for key, place in files.items())
+    smallest = ("preset=smoke", "run_dir=run", "demonstrations_per_task=1", "adaptation.rollouts=2")
+    values = config("quickstart", *which, *experts, *given, *smallest)
+    # An expert of one iteration may be no better than random actions: normalisation refuses it.
+    monkeypatch.setattr(recipe("scoring").Scorer, "references", better_than_random)
+    recipe("quickstart").quickstart(values)
+    result = read(f"run/results/{values.method}.json")
+    assert result.task == task
+    settings = {(s.setting, s.variant) for s in result.scores}
+    trained, shifted = (values[k].split("/")[1] for k in ("environment", "test_environment"))
+    assert settings == {
+        ("one_shot", trained),
+        ("policy_generalisation", shifted),
+        ("reward_adaptation", shifted),
+    }
+    assert "context/r2" in result.reward
+    assert ("context/accuracy" in result.reward) == (task == "ant")
+    assert {s.goals for s in result.scores} == {"all", *values.subsets}
+    assert not os.path.exists("run/figures/reward_maps.png")
+    page = config("reward_report", *which, *given, "run_dir=page")
+    model = load_model("run/model.safetensors")
+    with pytest.raises(ValueError, match=f"task={task} is not planar"):
+        recipe("reward_report").write_report(page, folder(page), model)
+
+
+def better_than_random(self, environment):
+    count = len(self.demonstrations.tasks())
+    return {"expert": torch.ones(count), "random": torch.zeros(count)}
