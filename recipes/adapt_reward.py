@@ -72,7 +72,7 @@ def adapt(
     env = environment(name, count, transform, seed=config.seed, threads=config.threads)
     policy = model.new_policy(
         config.adaptation.policy_scale,
-        learn_scale=False,
+        learn_scale=config.adaptation.learn_policy_scale,
         activation=config.adaptation.policy_activation,
     )
     reward: TensorDictModuleBase | None = model.reward

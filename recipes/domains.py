@@ -73,7 +73,8 @@ def expert_policy(name: str, task_key: str, sizes: Mapping[str, Any]) -> Context
     Args:
         name: of the environment.
         task_key: the task parameter that it reads.
-        sizes: ``hidden`` (widths), ``activation`` and ``scale`` (the deviation before training).
+        sizes: ``hidden`` (widths), ``activation``, ``scale`` (the deviation before training) and
+            ``standardize_task`` (whether it reads the task in deviations over the default split).
     """
     env = pemirl_envs.make(name, 256, seed=0)
     horizon = env.task.horizon
@@ -86,6 +87,9 @@ def expert_policy(name: str, task_key: str, sizes: Mapping[str, Any]) -> Context
         activation=ACTIVATIONS[sizes["activation"]],
         initial_scale=sizes["scale"],
         standardize=Standardize.fit(rollouts["observation"]),
+        standardize_context=(
+            Standardize.fit(rollouts["task", task_key][:, 0]) if sizes["standardize_task"] else None
+        ),
         context_key=("task", task_key),
     )
 
@@ -98,6 +102,7 @@ def load_expert(path: str) -> ContextPolicy:
         "hidden": [int(width) for width in facts["hidden"].split(",")],
         "activation": facts.get("activation", "relu"),
         "scale": 1.0,  # the file's own takes its place
+        "standardize_task": facts.get("standardize_task") == "True",
     }
     policy = expert_policy(facts["environment"], facts["task_key"], sizes)
     load_weights(file, {"policy": policy})

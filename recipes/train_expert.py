@@ -54,6 +54,7 @@ def train_expert(config: DictConfig, folder: RunFolder) -> float:
             "task_key": config.task_key,
             "hidden": ",".join(map(str, config.policy.hidden)),
             "activation": config.policy.activation,
+            "standardize_task": str(config.policy.standardize_task),
             "seed": str(config.seed),
             "env_steps": str(method.env_steps),
             "test_return": f"{float(returns.mean()):.4f}",

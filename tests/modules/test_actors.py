@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from torch.distributions import Normal
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from pemirl_trl.modules import ContextPolicy, ContextValue
+from pemirl_trl.modules import ContextPolicy, ContextValue, Standardize
 
 N, T, S, A, D = 5, 4, 3, 2, 2
 
@@ -79,3 +79,15 @@ def test_the_value_knows_the_time():
     assert len(values.unique()) == T
     first = value(same.apply(lambda x: x[:, :2]))["state_value"]
     assert torch.allclose(first, values[:, :2])
+
+
+def test_a_map_of_contexts_is_applied_to_them_alone():
+    context = 5.0 + 0.01 * torch.randn(200, 2)
+    mapped = ContextPolicy(3, 1, 2, standardize_context=Standardize.fit(context))
+    plain = ContextPolicy(3, 1, 2)
+    plain.gaussian.net.load_state_dict(mapped.gaussian.net.state_dict())
+    data = TensorDict({"observation": torch.randn(200, 3), "context": context}, [200])
+    z = data.clone().set("context", (context - context.mean(0)) / context.std(0))
+    torch.testing.assert_close(mapped.get_dist(data).mean, plain.get_dist(z).mean)
+    assert "module.0.net.standardize_context.loc" in dict(mapped.named_buffers())
+    assert not any("standardize_context" in name for name, _ in plain.named_buffers())

@@ -51,3 +51,17 @@ def test_scales_must_be_positive(scale):
 def test_shapes_must_agree():
     with pytest.raises(ValueError, match=r"got \(2,\) and \(3,\)"):
         Standardize(torch.zeros(2), torch.ones(3))
+
+
+def test_a_feature_that_hardly_varies_is_not_blown_up():
+    values = torch.randn(4000, 3) * torch.tensor([1.0, 1.0, 1e-4])
+    fitted = Standardize.fit(values)
+    torch.testing.assert_close(fitted.scale[2], 0.1 * fitted.scale[:2].min(), rtol=0.1, atol=0.0)
+    moments = Standardize.from_moments(values.double().mean(0), values.double().var(0))
+    for name, value in moments.state_dict().items():
+        torch.testing.assert_close(value, fitted.state_dict()[name])
+
+
+def test_alike_features_keep_their_own_scales():
+    values = torch.randn(1000, 4) * torch.tensor([1.0, 0.3, 2.0, 0.15])
+    assert torch.equal(Standardize.fit(values).scale, values.std(0))

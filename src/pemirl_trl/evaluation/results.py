@@ -29,10 +29,16 @@ __all__ = [
 ]
 
 SCHEMA = 2
-SETTINGS = ("one_shot", "policy_generalisation", "reward_adaptation", "rl_with_true_reward")
+SETTINGS = (
+    "one_shot",
+    "policy_generalisation",
+    "reward_adaptation",
+    "rl_with_true_reward",
+    "expert",
+)
 """What was measured: the meta-trained policy under the dynamics of training, or carried over to
 others; a new policy trained on the learned reward (under the dynamics of training that is
-self-transfer), or on the true one."""
+self-transfer), or on the true one; an expert, which knows the task, where it was trained."""
 _PACKAGES = (
     "pemirl-trl",
     "torch",

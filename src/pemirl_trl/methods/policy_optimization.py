@@ -14,6 +14,7 @@ from torchrl.envs import EnvBase
 
 from pemirl_trl.methods.best_trajectories import BestTrajectories
 from pemirl_trl.methods.collection import EpisodeCollector
+from pemirl_trl.methods.observation_statistics import ObservationStatistics
 from pemirl_trl.methods.policy_step import PolicyStep, TRPOConfig
 from pemirl_trl.methods.schedule import log_linear
 from pemirl_trl.modules import ContextPolicy
@@ -33,6 +34,8 @@ class PolicyOptimizationConfig:
         imitate_best: weight, beside standardised advantages, of the squared error to the actions of
             the best trajectory that any task's policy has found for each task; needs a reward that
             is known as a function (see :class:`BestTrajectories`). 0 is off.
+        standardize_observations: whether the policy's map of observations follows the mean and
+            deviation of all that it has seen, after each step; otherwise it stays as it is.
     """
 
     iterations: int = 100
@@ -40,6 +43,7 @@ class PolicyOptimizationConfig:
     final_scale: float | None = None
     anneal_fraction: float = 0.8
     imitate_best: float = 0.0
+    standardize_observations: bool = False
 
 
 class PolicyOptimization:
@@ -82,6 +86,9 @@ class PolicyOptimization:
             policy.log_scale.requires_grad_(False)
         self._step = PolicyStep(policy, config.trpo, rollouts_per_context)
         self._learned = None if reward is None else LearnedReward(reward)
+        self._statistics: ObservationStatistics | None = None
+        if config.standardize_observations:
+            self._statistics = ObservationStatistics(policy.gaussian.standardize)
         self._best: BestTrajectories | None = None
         if config.imitate_best > 0:
             if reward is None:
@@ -110,6 +117,8 @@ class PolicyOptimization:
             metrics |= self._best.update(rollouts)
             imitation = self._best.loss(self.policy, self.config.imitate_best)
         metrics |= self._step(rollouts, imitation)
+        if self._statistics is not None:  # after the step, whose old densities are of the old map
+            self._statistics.update(rollouts["observation"])
         return metrics
 
     def _force_scale(self) -> None:
@@ -123,4 +132,5 @@ class PolicyOptimization:
     def components(self) -> dict[str, Any]:
         """What a checkpoint holds."""
         best = {} if self._best is None else {"best": self._best}
-        return {"policy": self.policy, "collector": self._collect, **best}
+        seen = {} if self._statistics is None else {"observations": self._statistics}
+        return {"policy": self.policy, "collector": self._collect, **best, **seen}

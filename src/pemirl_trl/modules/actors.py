@@ -17,11 +17,20 @@ from pemirl_trl.modules.standardize import Standardize
 
 
 class _GaussianNet(nn.Module):
-    def __init__(self, net: nn.Module, standardize: Standardize, log_scale: nn.Parameter) -> None:
+    def __init__(
+        self,
+        net: nn.Module,
+        standardize: Standardize,
+        log_scale: nn.Parameter,
+        standardize_context: Standardize | None,
+    ) -> None:
         super().__init__()
         self.standardize, self.net, self.log_scale = standardize, net, log_scale
+        self.standardize_context = standardize_context
 
     def forward(self, observation: Tensor, context: Tensor) -> tuple[Tensor, Tensor]:
+        if self.standardize_context is not None:
+            context = self.standardize_context(context)
         loc = self.net(self.standardize(observation), context)
         return loc, self.log_scale.exp().expand_as(loc)
 
@@ -41,6 +50,8 @@ class ContextPolicy(ProbabilisticActor):
         learn_scale: whether the deviation is learned, or held (and moved by schedules alone).
             Where a simulator clamps actions, entropy costs nothing beyond the clamp, and an
             entropy-seeking objective would buy it without end: hold the deviation there.
+        standardize_context: map of contexts; by default none. A goal in metres needs one beside
+            observations in deviations.
         context_key: where m stands. An expert that knows its task reads the task parameters
             instead of a context: ``context_key=("task", "goal")``.
     """
@@ -56,6 +67,7 @@ class ContextPolicy(ProbabilisticActor):
         standardize: Standardize | None = None,
         initial_scale: float = 1.0,
         learn_scale: bool = True,
+        standardize_context: Standardize | None = None,
         context_key: NestedKey = "context",
     ) -> None:
         net = MLP(
@@ -69,6 +81,7 @@ class ContextPolicy(ProbabilisticActor):
             net,
             standardize or Standardize.identity(observation_dim),
             nn.Parameter(log_scale, requires_grad=learn_scale),
+            standardize_context,
         )
         super().__init__(
             module=DirectModule(gaussian, ["observation", context_key], ["loc", "scale"]),

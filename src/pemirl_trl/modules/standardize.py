@@ -40,10 +40,19 @@ class Standardize(nn.Module):
 
     @classmethod
     def fit(cls, values: Tensor) -> Self:
-        """Zero mean and unit deviation of ``values`` ``[..., S]``; constants keep scale 1."""
+        """Zero mean and unit deviation of ``values`` ``[..., S]``.
+
+        Constants keep scale 1, and no scale is below a tenth of the median feature's. A feature that
+        hardly varies, such as the height of an object that lies on a table, would otherwise be
+        noise of unit deviation, and hundreds of deviations off once the object falls over.
+        """
         rows = values.reshape(-1, values.shape[-1])
-        scale = rows.std(0)
-        return cls(rows.mean(0), torch.where(scale > 1e-6, scale, torch.ones_like(scale)))
+        return cls(rows.mean(0), _scale(rows.std(0)))
+
+    @classmethod
+    def from_moments(cls, mean: Tensor, variance: Tensor) -> Self:
+        """The same of data with this ``mean`` and ``variance`` ``[S]``, in float32."""
+        return cls(mean.float(), _scale(variance.sqrt().float()))
 
     @property
     def features(self) -> int:
@@ -53,3 +62,11 @@ class Standardize(nn.Module):
     def forward(self, values: Tensor) -> Tensor:
         """Map ``[..., S]`` to ``[..., S]``."""
         return (values - self.loc) / self.scale
+
+
+def _scale(deviation: Tensor) -> Tensor:
+    varies = deviation > 1e-6
+    if not varies.any():
+        return torch.ones_like(deviation)
+    floor = 0.1 * deviation[varies].quantile(0.5)
+    return torch.where(varies, deviation.clamp(min=floor), torch.ones_like(deviation))
