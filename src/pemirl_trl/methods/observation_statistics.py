@@ -17,7 +17,8 @@ class ObservationStatistics:
     its position is scaled by a deviation of millimetres, and saturates the units of a policy that
     has learned to move it.
 
-    Counts, means and sums of squares are merged exactly (Chan, Golub and LeVeque, 1983), in float64.
+    Counts, means and sums of squares are merged exactly, in float64 (Chan, Golub and LeVeque,
+    1983).
 
     Args:
         standardize: changed in place by :meth:`update`.

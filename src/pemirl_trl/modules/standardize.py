@@ -42,9 +42,9 @@ class Standardize(nn.Module):
     def fit(cls, values: Tensor) -> Self:
         """Zero mean and unit deviation of ``values`` ``[..., S]``.
 
-        Constants keep scale 1, and no scale is below a tenth of the median feature's. A feature that
-        hardly varies, such as the height of an object that lies on a table, would otherwise be
-        noise of unit deviation, and hundreds of deviations off once the object falls over.
+        Constants keep scale 1, and no scale is below a tenth of the median feature's. What hardly
+        varies, such as the height of an object that lies on a table, would otherwise be noise of
+        unit deviation, and hundreds of deviations off once the object falls over.
         """
         rows = values.reshape(-1, values.shape[-1])
         return cls(rows.mean(0), _scale(rows.std(0)))
