@@ -48,7 +48,7 @@ def evaluate(
     seconds = read_seconds(meta_run) | read_seconds(adaptation_run) | folder.seconds
     results = [
         Result(
-            table="quickstart",
+            table=config.table_name,
             row=row,
             task=config.task,
             seed=config.seed,
