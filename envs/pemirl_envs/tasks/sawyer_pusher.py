@@ -50,7 +50,7 @@ class SawyerPusher(Task):
     horizon = 200
     n_sub_steps = 5
     stage = mujoco.mjtStage.mjSTAGE_POS  # the hand's position follows from the joint angles
-    observation_size = 6
+    observation_size = 9
     splits = GoalBox.splits
 
     def __init__(self, wall: float | None = None) -> None:
@@ -113,8 +113,9 @@ class SawyerPusher(Task):
         return {"mocap_pos": mocap}
 
     def observe(self, fields: Fields) -> Tensor:
-        """The hand's and the mug's position, (x, y, z) each, metres, float32 ``[N, 6]``."""
-        return torch.cat([_hand(fields), _mug(fields)], -1).float()
+        """Hand, mug, and mug relative to hand, (x, y, z) each, metres, float32 ``[N, 9]``."""
+        hand, mug = _hand(fields), _mug(fields)
+        return torch.cat([hand, mug, mug - hand], -1).float()
 
     def reward(self, fields: Fields, action: Tensor, parameters: Parameters) -> Tensor:
         """r(s) = -|hand - mug|_2 - |mug_xy - g|_2, float32 ``[N]``; metres (paper, appendix)."""

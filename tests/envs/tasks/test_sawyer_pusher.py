@@ -169,7 +169,7 @@ def test_reward_by_hand():
     data = env.reset(env.reset().update({"task": {"goal": goal}}))
     step = env.rand_step(data.clone())
     for i in range(2):
-        hand, mug = data["observation"][i, :3].tolist(), data["observation"][i, 3:].tolist()
+        hand, mug = data["observation"][i, :3].tolist(), data["observation"][i, 3:6].tolist()
         expected = -math.dist(hand, mug) - math.dist(mug[:2], goal[i].tolist())
         assert step["next", "reward"][i].item() == pytest.approx(expected, abs=1e-6)
 
