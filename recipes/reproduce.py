@@ -133,7 +133,7 @@ def shared_meta_il(config: DictConfig) -> tuple[PEMIRLModel | None, Path]:
     """
     if config.model.context_dim == 0:
         return None, Path(config.run_dir)
-    sizes = {k: v for k, v in plain(config.model).items() if k != "reward"}
+    sizes = {k: v for k, v in plain(config.model).items() if k not in ("reward", "reward_features")}
     given = {name: plain(config)[name] for name in META_IL_FIELDS}
     identity = json.dumps([given, sizes], sort_keys=True)
     name = hashlib.sha256(identity.encode()).hexdigest()[:12]

@@ -22,6 +22,7 @@ from pemirl_trl.pretrained import load_model, save_model
 N, T, S, A = 5, 4, 3, 2
 KINDS = [
     ({"context_dim": 2}, ContextEncoder, ShapedReward),
+    ({"context_dim": 2, "reward_features": (2, 0)}, ContextEncoder, ShapedReward),
     ({"context_dim": 0}, NoContext, ShapedReward),
     ({"context_dim": 2, "encoder": "masked"}, MaskedContextEncoder, ShapedReward),
     ({"context_dim": 2, "reward": "gail"}, ContextEncoder, GAILDiscriminator),

@@ -1,5 +1,6 @@
 """The shaped reward and the discriminator on top of it are what their equations say."""
 
+import pytest
 import torch
 from tensordict import TensorDict
 
@@ -68,3 +69,22 @@ def test_keys_can_be_nested(float64):
     expected = AIRLDiscriminator(plain)(b.copy())["logit_expert"]
     b.rename_key_("context", ("latent", "m")).rename_key_("action_log_prob", ("old", "log_prob"))
     assert torch.equal(discriminator(b)["logit_expert"], expected)
+
+
+def test_a_reward_of_some_features_ignores_the_others_and_its_potential_does_not():
+    reward = ShapedReward(4, 2, reward_features=[3, 1])
+    state, m = torch.randn(6, 4, requires_grad=True), torch.randn(6, 2)
+    (of_r,) = torch.autograd.grad(reward.reward(state, m).sum(), state)
+    assert torch.equal(of_r[:, [0, 2]], torch.zeros(6, 2))
+    assert (of_r[:, [1, 3]] != 0).any(0).all()
+    (of_h,) = torch.autograd.grad(reward.potential(state, m).sum(), state)
+    assert (of_h != 0).any(0).all()
+    torch.testing.assert_close(
+        reward.reward(state, m), reward.reward_net(state[:, [3, 1]], m), rtol=0.0, atol=0.0
+    )
+
+
+@pytest.mark.parametrize("features", [[], [0, 0], [4], [-1]])
+def test_features_that_are_none_of_an_observation_are_refused(features):
+    with pytest.raises(ValueError, match="expected distinct numbers from 0 to 3"):
+        ShapedReward(4, 2, reward_features=features)

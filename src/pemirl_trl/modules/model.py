@@ -31,6 +31,8 @@ class ModelConfig:
         encoder_hidden, policy_hidden, reward_hidden: widths of the hidden layers.
         reward_gamma: discount of the potential in f.
         policy_scale: the policy's deviation before training.
+        reward_features: which components of an observation r reads; None: all (the paper). See
+            :class:`ShapedReward`; GAIL's D has no such choice.
     """
 
     context_dim: int = 3
@@ -41,6 +43,7 @@ class ModelConfig:
     reward_hidden: Sequence[int] = (32, 32)
     reward_gamma: float = 0.99
     policy_scale: float = 1.0
+    reward_features: Sequence[int] | None = None
 
 
 class PEMIRLModel(nn.Module):
@@ -98,6 +101,7 @@ class PEMIRLModel(nn.Module):
                 gamma=c.reward_gamma,
                 hidden=c.reward_hidden,
                 standardize=self.standardize,
+                reward_features=c.reward_features,
             )
         if c.reward == "gail":
             return GAILDiscriminator(

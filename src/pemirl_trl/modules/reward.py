@@ -26,6 +26,12 @@ class ShapedReward(TensorDictModuleBase):
         gamma: discount of the potential.
         hidden, activation: of both networks.
         standardize: map of observations; by default none.
+        reward_features: which components of an observation r reads; None: all. The potential reads
+            all. An extension of the paper: where new dynamics force other postures upon the body, a
+            reward of every joint asks for the old ones.
+
+    Raises:
+        ValueError: a component that observations do not have, or one twice.
     """
 
     in_keys: list[NestedKey]
@@ -40,26 +46,32 @@ class ShapedReward(TensorDictModuleBase):
         hidden: Sequence[int] = (32, 32),
         activation: type[nn.Module] = nn.ReLU,
         standardize: Standardize | None = None,
+        reward_features: Sequence[int] | None = None,
         context_key: NestedKey = "context",
     ) -> None:
         super().__init__()
+        self.reward_features = _checked(reward_features, observation_dim)
         self.in_keys = ["observation", ("next", "observation"), context_key]
         self.out_keys = ["learned_reward", "shaped_reward"]
         self.gamma = gamma
         self.standardize = standardize or Standardize.identity(observation_dim)
+        read = observation_dim if self.reward_features is None else len(self.reward_features)
         self.reward_net, self.potential_net = (
             MLP(
-                in_features=observation_dim + context_dim,
+                in_features=features + context_dim,
                 out_features=1,
                 num_cells=list(hidden),
                 activation_class=activation,
             )
-            for _ in range(2)
+            for features in (read, observation_dim)
         )
 
     def reward(self, observation: Tensor, context: Tensor) -> Tensor:
         """r(s, m) ``[..., 1]`` of observations ``[..., S]`` and contexts ``[..., D]``."""
-        return self.reward_net(self.standardize(observation), context)
+        state = self.standardize(observation)
+        if self.reward_features is not None:
+            state = state[..., self.reward_features]
+        return self.reward_net(state, context)
 
     def potential(self, observation: Tensor, context: Tensor) -> Tensor:
         """h(s, m) ``[..., 1]`` of observations ``[..., S]`` and contexts ``[..., D]``."""
@@ -81,3 +93,15 @@ class ShapedReward(TensorDictModuleBase):
             self.gamma,
         )
         return tensordict.set(self.out_keys[1], shaped)
+
+
+def _checked(features: Sequence[int] | None, observation_dim: int) -> list[int] | None:
+    if features is None:
+        return None
+    chosen = list(features)
+    if not chosen or len(set(chosen)) < len(chosen) or not set(chosen) <= {*range(observation_dim)}:
+        raise ValueError(
+            f"reward_features is {chosen}; expected distinct numbers from 0 to "
+            f"{observation_dim - 1}, the components of an observation"
+        )
+    return chosen
