@@ -15,6 +15,7 @@ from pathlib import Path
 import hydra
 import torch
 from adapt_reward import load_adapted, load_test_demonstrations
+from behaviours import behaviour_measures
 from config import plain
 from drawing import draw_learning_curve, draw_reward_maps
 from omegaconf import DictConfig
@@ -39,6 +40,7 @@ def evaluate(
         "adaptation": read_curve(adaptation_run, "adaptation"),
     }
     contexts = {config.method: context_measures(config, model)}
+    measures = {} if config.planar else behaviour_measures(config, model)
     with folder.timed("evaluation"):
         scores = {config.method: _scores(config, model, demonstrations, meta_run, adaptation_run)}
         if (meta_run / "meta_il.safetensors").exists():
@@ -55,7 +57,7 @@ def evaluate(
             split="test",
             scores=tuple(of_row),
             curves=curves if row == config.method else {},
-            reward=contexts.get(row, {}),
+            reward=contexts.get(row, {}) | (measures if row == config.method else {}),
             seconds=seconds,
             config=plain(config),
             **environment_facts(),
@@ -69,6 +71,8 @@ def evaluate(
         if measures:
             read_off = ", ".join(f"{k.split('/')[1]} {v:.3f}" for k, v in measures.items())
             say(f"{row}: the task, read off the contexts of held-out demonstrations: {read_off}")
+    for name, value in measures.items():
+        say(f"{config.method}, {name}: {value:.3f}")
     if config.planar:
         draw_reward_maps(config, model, demonstrations, folder.file("figures/reward_maps.png"))
     draw_learning_curve(

@@ -23,6 +23,7 @@ from pathlib import Path
 import hydra
 import torch
 from adapt_reward import adapt, load_test_demonstrations
+from behaviours import behaviour_measures
 from collect_demos import collect_demos
 from config import plain
 from evaluate import read_curve, read_seconds
@@ -59,6 +60,8 @@ def run(config: DictConfig) -> Result | None:
     demonstrations = load_test_demonstrations(config)
     scores = measure(config, folder, model, demonstrations)
     reward = context_measures(config, model)
+    if not config.planar and config.measure.reward_adaptation:
+        reward |= behaviour_measures(config, model)
     if config.measure_reward:
         with folder.timed("reward_report"):
             reward |= measure_reward(config, model, demonstrations).summary()
