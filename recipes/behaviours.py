@@ -31,10 +31,14 @@ def behaviour_measures(config: DictConfig, model: PEMIRLModel) -> dict[str, floa
     demonstrations = load_test_demonstrations(config)
     contexts = model.encoder.get_dist(demonstrations.trajectories()).mean
     training, test = (config[k].split("/")[1] for k in ("environment", "test_environment"))
+
+    def still(tensordict: TensorDictBase) -> TensorDictBase:  # TorchRL goes by that name
+        return tensordict.set("action", torch.zeros(len(tensordict), model.action_dim))
+
     actors: dict[str, Actor] = {
         "expert": load_expert(config.experts[test]),
         "carried_over": load_expert(config.experts[training]),
-        "still": lambda data: data.set("action", torch.zeros(len(data), model.action_dim)),
+        "still": still,
         "random": None,
     }
     measures, learned_returns, true_returns = {}, [], []
