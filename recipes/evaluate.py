@@ -40,7 +40,7 @@ def evaluate(
         "adaptation": read_curve(adaptation_run, "adaptation"),
     }
     contexts = {config.method: context_measures(config, model)}
-    measures = {} if config.planar else behaviour_measures(config, model)
+    behaviours = {} if config.planar else behaviour_measures(config, model)
     with folder.timed("evaluation"):
         scores = {config.method: _scores(config, model, demonstrations, meta_run, adaptation_run)}
         if (meta_run / "meta_il.safetensors").exists():
@@ -57,7 +57,7 @@ def evaluate(
             split="test",
             scores=tuple(of_row),
             curves=curves if row == config.method else {},
-            reward=contexts.get(row, {}) | (measures if row == config.method else {}),
+            reward=contexts.get(row, {}) | (behaviours if row == config.method else {}),
             seconds=seconds,
             config=plain(config),
             **environment_facts(),
@@ -71,7 +71,7 @@ def evaluate(
         if measures:
             read_off = ", ".join(f"{k.split('/')[1]} {v:.3f}" for k, v in measures.items())
             say(f"{row}: the task, read off the contexts of held-out demonstrations: {read_off}")
-    for name, value in measures.items():
+    for name, value in behaviours.items():
         say(f"{config.method}, {name}: {value:.3f}")
     if config.planar:
         draw_reward_maps(config, model, demonstrations, folder.file("figures/reward_maps.png"))

@@ -28,6 +28,7 @@ _HAND_TARGET = 0  # index among the mocap bodies; the other one shows the goal
 _ACTION_STEP = 0.01  # m, how far an action of 1 moves the hand's target
 # m, low and high corner of the box of the hand's target
 _HAND_BOX = torch.tensor([(-0.4, 0.4, 0.02), (0.4, 1.0, 0.3)], dtype=torch.float64)
+_LEASH = 0.05  # m per axis, how far the target may be ahead of the hand; free, it lags by under 0.04
 _MUG_OFFSET = 0.02  # m, half-width of the uniform initial offset
 _GOAL_HEIGHT = 0.001  # m, where the goal is drawn
 _WALL_RIGHT, _WALL_Y = 0.45, 0.7  # m, its right end and its centre line
@@ -105,10 +106,15 @@ class SawyerPusher(Task):
         }
 
     def control(self, fields: Fields, action: Tensor) -> State:
-        """Moves the hand's target by up to 1 cm on each axis, within the box of the hand."""
+        """Moves the hand's target by up to 1 cm on each axis, within the box of the hand.
+
+        A hand that is blocked keeps its target near: otherwise the force upon what it squeezes
+        would grow without bound.
+        """
         low, high = _HAND_BOX
-        mocap = fields("mocap_pos").clone()
+        mocap, hand = fields("mocap_pos").clone(), _hand(fields)
         moved = mocap[:, _HAND_TARGET] + _ACTION_STEP * action.double()
+        moved = torch.clamp(moved, hand - _LEASH, hand + _LEASH)
         mocap[:, _HAND_TARGET] = torch.clamp(moved, low, high)
         return {"mocap_pos": mocap}
 

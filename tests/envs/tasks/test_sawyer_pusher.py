@@ -185,3 +185,17 @@ def test_the_shift_adds_a_wall_alone():
             specs[1].delete(pair)
     specs[1].delete(wall)
     assert specs[0].to_xml() == specs[1].to_xml()
+
+
+def test_a_blocked_hand_keeps_its_target_near():
+    """Pressed against the wall for 10 s, the target would otherwise run on to its box's end."""
+    env = pemirl_envs.make("sawyer_pusher/shift", 2, seed=0)
+    data = env.reset()
+    ahead = torch.tensor([[0.0, 1.0, -0.2], [0.3, 1.0, -0.2]])
+    lag = []
+    for _ in range(env.task.horizon):
+        data = env.step(data.set("action", ahead))["next"].exclude("reward", "done", "truncated")
+        target = env.episodes.simulation.field("mocap_pos")[:, 0]
+        lag.append((target - data["observation"][:, :3]).abs().max().item())
+    assert data["observation"][:, 1].max() < 0.7  # the wall's centre line
+    assert 0.04 < max(lag) < 0.06
