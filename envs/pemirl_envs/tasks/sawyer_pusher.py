@@ -28,7 +28,8 @@ _HAND_TARGET = 0  # index among the mocap bodies; the other one shows the goal
 _ACTION_STEP = 0.01  # m, how far an action of 1 moves the hand's target
 # m, low and high corner of the box of the hand's target
 _HAND_BOX = torch.tensor([(-0.4, 0.4, 0.02), (0.4, 1.0, 0.3)], dtype=torch.float64)
-_LEASH = 0.05  # m per axis, how far the target may be ahead of the hand; free, it lags by under 0.04
+# m, how far the target may be ahead of the hand on each axis; a free hand lags by less than 0.04
+_LEASH = 0.05
 _MUG_OFFSET = 0.02  # m, half-width of the uniform initial offset
 _GOAL_HEIGHT = 0.001  # m, where the goal is drawn
 _WALL_RIGHT, _WALL_Y = 0.45, 0.7  # m, its right end and its centre line
