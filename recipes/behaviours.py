@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
 from adapt_reward import load_test_demonstrations
-from domains import environment, given_tasks, load_expert
+from domains import Actor, load_expert, rollouts_given_tasks
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
-from torchrl.envs import ExplorationType, set_exploration_type
 
-from pemirl_trl import PEMIRLModel, SampleTasks
+from pemirl_trl import PEMIRLModel
 from pemirl_trl.evaluation import spearman
-
-Actor = Callable[[TensorDictBase], TensorDictBase] | None
-"""None draws actions uniformly."""
 
 
 @torch.no_grad()
@@ -43,7 +37,7 @@ def behaviour_measures(config: DictConfig, model: PEMIRLModel) -> dict[str, floa
     }
     measures, learned_returns, true_returns = {}, [], []
     for label, actor in actors.items():
-        rollouts = _rollouts(config, name, demonstrations.tasks(), actor)
+        rollouts = rollouts_given_tasks(name, actor, demonstrations.tasks(), config)
         observation = rollouts["observation"]
 
         def score(m: torch.Tensor, observation: torch.Tensor = observation) -> torch.Tensor:
@@ -59,16 +53,3 @@ def behaviour_measures(config: DictConfig, model: PEMIRLModel) -> dict[str, floa
         true_returns.append(rollouts["next", "reward"].sum((1, 2)))
     rank = spearman(torch.cat(learned_returns), torch.cat(true_returns))
     return {**measures, "behaviour/spearman": float(rank)}
-
-
-def _rollouts(config: DictConfig, name: str, tasks: TensorDictBase, actor: Actor) -> TensorDictBase:
-    episodes = config.evaluation.episodes
-    env = environment(
-        name,
-        len(tasks) * episodes,
-        SampleTasks(given_tasks(tasks), rollouts_per_task=episodes),
-        seed=config.evaluation.seed,
-        threads=config.threads,
-    )
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        return env.rollout(env.base_env.task.horizon, actor, break_when_any_done=False)

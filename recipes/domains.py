@@ -11,7 +11,13 @@ from omegaconf import DictConfig
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor
-from torchrl.envs import EnvBase, Transform, TransformedEnv
+from torchrl.envs import (
+    EnvBase,
+    ExplorationType,
+    Transform,
+    TransformedEnv,
+    set_exploration_type,
+)
 
 import pemirl_envs
 from pemirl_trl import (
@@ -26,6 +32,8 @@ from pemirl_trl.checkpoint import load_weights, read_metadata
 from pemirl_trl.evaluation import episode_returns
 from pemirl_trl.modules.model import ACTIVATIONS
 
+Actor = Callable[[TensorDictBase], TensorDictBase] | None
+"""Writes an action; None draws them uniformly."""
 ROOT = Path(__file__).resolve().parent.parent
 
 
@@ -163,6 +171,19 @@ def returns_given_demonstrations(
         tasks=demonstrations.tasks(),
     )
     return _returns(name, policy, demonstrations.tasks(), transform, config)
+
+
+@torch.no_grad()
+def rollouts_given_tasks(
+    name: str, actor: Actor, tasks: TensorDictBase, config: DictConfig
+) -> TensorDictBase:
+    """Whole episodes of mean actions, ``evaluation.episodes`` of each task, task-major."""
+    count = len(tasks) * config.evaluation.episodes
+    settings = {"seed": config.evaluation.seed, "threads": config.threads}
+    env = environment(name, count, _given(tasks, config), **settings)
+    horizon = pemirl_envs.get_task(name).horizon
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        return env.rollout(horizon, actor, break_when_any_done=False)
 
 
 def _given(tasks: TensorDictBase, config: DictConfig) -> SampleTasks:

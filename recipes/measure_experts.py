@@ -14,14 +14,13 @@ from pathlib import Path
 import hydra
 import torch
 from config import plain
-from domains import data_file, environment, given_tasks, load_expert
+from domains import data_file, load_expert, rollouts_given_tasks
 from omegaconf import DictConfig
 from outcomes import OUTCOMES
 from run_folder import say
-from torchrl.envs import ExplorationType, set_exploration_type
 
 import pemirl_envs
-from pemirl_trl import ContextPolicy, SampleTasks
+from pemirl_trl import ContextPolicy
 from pemirl_trl.checkpoint import read_metadata
 from pemirl_trl.evaluation import Result, Score, environment_facts, returns_table
 
@@ -29,20 +28,11 @@ Measured = tuple[torch.Tensor, float]
 """Returns ``[tasks]``, and the outcome's mean over the tasks."""
 
 
-@torch.no_grad()
 def measure(name: str, policy: ContextPolicy | None, config: DictConfig) -> Measured:
     """A policy that reads the task (or random actions) under some dynamics, on the test tasks."""
     tasks, episodes = pemirl_envs.task_parameters(name, "test"), config.evaluation.episodes
-    env = environment(
-        name,
-        len(tasks) * episodes,
-        SampleTasks(given_tasks(tasks), rollouts_per_task=episodes),
-        seed=config.evaluation.seed,
-        threads=config.threads,
-    )
     torch.manual_seed(config.evaluation.seed)
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        rollouts = env.rollout(env.base_env.task.horizon, policy, break_when_any_done=False)
+    rollouts = rollouts_given_tasks(name, policy, tasks, config)
     returns = rollouts["next", "reward"].sum((1, 2)).view(len(tasks), episodes).mean(1)
     _, outcome = OUTCOMES[config.task]
     reached = outcome(rollouts["next", "observation"], rollouts["task"][:, 0])
