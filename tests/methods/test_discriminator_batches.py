@@ -175,3 +175,38 @@ def test_jitter_has_the_fraction_and_the_size_asked_for(reach, negatives):
     # E s^2 with s ~ U(0, c) is c^2 / 3; in units of the demonstrations' deviation.
     unit = float(reach.demonstrations["observation"].std())
     assert float(noise[moved].square().mean()) == pytest.approx((scale * unit) ** 2 / 3, rel=0.15)
+
+
+def test_mismatched_negatives_are_the_experts_under_the_context_of_another_demonstration(draw):
+    plain_expert, _ = sides(draw()[1])
+    model, batch = draw(mismatched_fraction=0.3)
+    expert, negative = sides(batch)
+    own, mismatched = negative[:14], negative[14:]
+    for key in (*TRANSITION, "context", "action_log_prob"):
+        assert torch.equal(expert.get(key), plain_expert.get(key))
+    for key in (*TRANSITION, "action_log_prob"):  # the log pi under their own context
+        assert torch.equal(mismatched.get(key), expert[:6].get(key))
+    drawn = mismatched["context"][:, 0]
+    source = (drawn.unsqueeze(1) == expert["context"][:, 0]).all(-1).int().argmax(1)
+    assert (source != torch.arange(6)).sum() >= 4  # a permutation may leave one where it is
+    assert torch.equal(mismatched["context"], expert["context"][source])
+    encoder = list(model.encoder.parameters())
+    for gradient in torch.autograd.grad(mismatched["context"].sum(), encoder):
+        assert (gradient == 0).all()
+    assert set(own["action_log_prob"].unique().tolist()) <= {0.0, 1.0, 2.0, 3.0}
+
+
+def test_all_or_none_of_the_negatives_may_be_mismatched(draw):
+    _, negative = sides(draw(mismatched_fraction=1.0)[1])
+    assert len(negative) == TRAJECTORIES
+    assert torch.equal(draw(mismatched_fraction=0.0)[1]["context"], draw()[1]["context"])
+    with pytest.raises(ValueError, match=r"mismatched_fraction is 1\.5; expected a share, 0 to 1"):
+        BatchConfig(mismatched_fraction=1.5)
+
+
+def test_mismatched_negatives_need_contexts(reach, negatives):
+    model = reach.model(context_dim=0)
+    with pytest.raises(ValueError, match="no contexts to confuse; expected 0"):
+        DiscriminatorBatches(
+            model, reach.demonstrations, negatives, BatchConfig(mismatched_fraction=0.5)
+        )

@@ -142,5 +142,5 @@ def _mug(fields: Fields) -> Tensor:
 
 VARIANTS: dict[str, Callable[[], Task]] = {
     "normal": SawyerPusher,
-    "shift": functools.partial(SawyerPusher, wall=-0.16),
+    "shift": functools.partial(SawyerPusher, wall=-0.1),
 }

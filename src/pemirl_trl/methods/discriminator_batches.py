@@ -32,6 +32,11 @@ class BatchConfig:
             An extension of the paper; 0 is off.
         jitter_scale: the noise's deviation is drawn per trajectory from U(0, jitter_scale), in
             units of the demonstrations' deviation, feature by feature.
+        mismatched_fraction: share of the negatives that are not the policy's but the expert's, under
+            the context of another demonstration: "expert, but for which task?". Against them alone
+            the logit's optimum is log p(s, a|m) - log p(s, a), the pointwise mutual information of
+            transition and context: what all tasks have in common, a posture say, earns nothing. An
+            extension of the paper; 0 is off.
     """
 
     trajectories: int = 200
@@ -40,12 +45,17 @@ class BatchConfig:
     negative_log_prob: NegativeLogProb = "collection"
     jitter_fraction: float = 0.0
     jitter_scale: float = 0.0
+    mismatched_fraction: float = 0.0
 
     def __post_init__(self) -> None:
         if self.negative_log_prob not in get_args(NegativeLogProb):
             raise ValueError(
                 f"unknown negative_log_prob {self.negative_log_prob!r}; choose one of "
                 f"{get_args(NegativeLogProb)}"
+            )
+        if not 0 <= self.mismatched_fraction <= 1:
+            raise ValueError(
+                f"mismatched_fraction is {self.mismatched_fraction}; expected a share, 0 to 1"
             )
 
 
@@ -54,7 +64,8 @@ class DiscriminatorBatches:
 
     An expert transition's m is drawn from q(m | its own demonstration), by reparameterisation, and
     its log pi is the current policy's. A policy transition keeps the m that produced it and, unless
-    told otherwise, the log pi of its collection.
+    told otherwise, the log pi of its collection. Mismatched negatives, where they are asked for, stand
+    last.
 
     Args:
         model: gives m and log pi.
@@ -62,6 +73,9 @@ class DiscriminatorBatches:
         negatives: the policy's rollouts.
         config: of a batch.
         encoder_gradient: whether the expert's m carries gradients to the encoder.
+
+    Raises:
+        ValueError: mismatched negatives for a model without contexts.
     """
 
     def __init__(
@@ -73,14 +87,25 @@ class DiscriminatorBatches:
         *,
         encoder_gradient: bool = True,
     ) -> None:
+        if config.mismatched_fraction > 0 and model.config.context_dim == 0:
+            raise ValueError(
+                f"mismatched_fraction is {config.mismatched_fraction}, but the model has no "
+                "contexts to confuse; expected 0"
+            )
         self.model, self.demonstrations, self.negatives = model, demonstrations, negatives
         self.config = config
         self.encoder_gradient = encoder_gradient
 
     def sample(self, last: int) -> TensorDict:
         """One batch, with ``is_expert``; negatives come from the ``last`` iterations."""
-        expert, policy = self._expert(), self._policy(last)
-        return TensorDict.cat([expert, policy]).reshape(-1)
+        c = self.config
+        mismatched = round(c.mismatched_fraction * c.trajectories)
+        parts = [self._expert()]
+        if mismatched < c.trajectories:
+            parts.append(self._policy(last, c.trajectories - mismatched))
+        if mismatched > 0:
+            parts.append(self._mismatched(parts[0], mismatched))
+        return TensorDict.cat(parts).reshape(-1)
 
     def _expert(self) -> TensorDict:
         c = self.config
@@ -103,12 +128,12 @@ class DiscriminatorBatches:
         inputs = batch.select(*self.model.policy.in_keys)
         return self.model.policy.get_dist(inputs).log_prob(batch["action"])
 
-    def _policy(self, last: int) -> TensorDict:
+    def _policy(self, last: int, trajectories: int) -> TensorDict:
         c = self.config
-        current = round(c.current_fraction * c.trajectories)
+        current = round(c.current_fraction * trajectories)
         parts = [
             self.negatives.sample(count, steps=c.time_steps, last=reach)
-            for count, reach in ((current, 1), (c.trajectories - current, last))
+            for count, reach in ((current, 1), (trajectories - current, last))
             if count > 0
         ]
         batch = TensorDict.cat(parts).select(*FIELDS, "action_log_prob")
@@ -116,6 +141,18 @@ class DiscriminatorBatches:
             batch.set("action_log_prob", self._log_prob(batch))
         if c.jitter_fraction > 0:
             self._jitter(batch)
+        return batch.set("is_expert", _flag(batch["action_log_prob"], False))
+
+    def _mismatched(self, expert: TensorDict, trajectories: int) -> TensorDict:
+        """The expert's transitions, each trajectory under the context of another one.
+
+        Their log pi stays that of their own context, as a policy transition's is that of the policy
+        which drew it: under the other task the action would have next to no density, and its
+        logarithm would rule the loss.
+        """
+        batch = expert[:trajectories].clone()
+        other = torch.randperm(len(expert))[:trajectories]
+        batch.set("context", expert["context"][other].detach())
         return batch.set("is_expert", _flag(batch["action_log_prob"], False))
 
     def _jitter(self, batch: TensorDict) -> None:
