@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import hydra
 import torch
@@ -18,7 +19,7 @@ from adapt_reward import load_adapted, load_test_demonstrations
 from behaviours import behaviour_measures
 from config import plain
 from drawing import draw_learning_curve, draw_reward_maps
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from run_folder import RunFolder, say
 from scoring import Scorer, context_measures
 
@@ -47,6 +48,10 @@ def evaluate(
             meta_il = load_model(meta_run / "meta_il.safetensors")
             scores["meta_il"] = _transfer(config, meta_il, demonstrations, 0)
             contexts["meta_il"] = context_measures(config, meta_il)
+    settings = plain(config)
+    if meta_run != folder.path:  # the quickstart is one run
+        runs = {"meta_training": meta_run, "adaptation": adaptation_run}
+        settings["runs"] = {stage: read_run(run) for stage, run in runs.items()}
     seconds = read_seconds(meta_run) | read_seconds(adaptation_run) | folder.seconds
     results = [
         Result(
@@ -59,7 +64,7 @@ def evaluate(
             curves=curves if row == config.method else {},
             reward=contexts.get(row, {}) | (behaviours if row == config.method else {}),
             seconds=seconds,
-            config=plain(config),
+            config=settings,
             **environment_facts(),
         )
         for row, of_row in scores.items()
@@ -116,6 +121,13 @@ def read_curve(run: Path, stage: str) -> list[list[float]]:
     """The learning curve of a stage; empty if the run has none."""
     file = run / "curves" / f"{stage}.json"
     return json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
+
+
+def read_run(run: Path) -> dict[str, Any]:
+    """What a run was: its configuration, less where it stood, and the versions it ran with."""
+    stored = plain(OmegaConf.create(OmegaConf.load(run / "config.yaml")))  # type: ignore[arg-type]
+    versions = json.loads((run / "versions.json").read_text(encoding="utf-8"))
+    return {k: v for k, v in stored.items() if k not in ("run_dir", "model_file")} | versions
 
 
 def read_seconds(run: Path) -> dict[str, float]:

@@ -107,9 +107,16 @@ def test_stages_compose(smoke, recipe, monkeypatch):
     assert {r.row for r in results} == written == {"meta_il", "pemirl_robust"}
     steps = {s.env_steps["adaptation"] for r in results for s in r.scores}
     assert steps == {0, 6000}
+    ran = results[0].config["runs"]  # what the runs were, but not where they stand
+    assert ran["meta_training"]["preset"] == "smoke"
+    assert ran["adaptation"]["adaptation"]["rollouts"] == 60
+    assert not {"run_dir", "model_file"} & {*ran["adaptation"], *ran["meta_training"]}
 
 
-@pytest.mark.parametrize("method", ["pemirl", "airl", "meta_infogail", "pemirl_no_info"])
+METHODS = ["pemirl", "pemirl_contrastive", "airl", "meta_infogail", "pemirl_no_info"]
+
+
+@pytest.mark.parametrize("method", METHODS)
 def test_every_method_is_built_and_runs(method, recipe, tmp_path, monkeypatch):
     """The default, pemirl_robust, is what the quickstart ran."""
     monkeypatch.chdir(tmp_path)
@@ -130,6 +137,22 @@ def test_every_method_is_built_and_runs(method, recipe, tmp_path, monkeypatch):
         after = model.encoder.state_dict()
         still = all(torch.equal(after[name], value) for name, value in before.items())
         assert still == (method == "pemirl_no_info")
+
+
+def test_a_method_may_have_settings_of_its_own_for_a_task():
+    ant, sweeper, robust = (
+        config("meta_train", f"task={task}", f"method={method}")
+        for task, method in (
+            ("ant", "pemirl_contrastive"),
+            ("sweeper", "pemirl_contrastive"),
+            ("ant", "pemirl_robust"),
+        )
+    )
+    assert (ant.initial_policy, ant.training.iterations) == ("meta_il", 100)
+    assert (sweeper.initial_policy, sweeper.training.iterations) == ("fresh", 150)
+    assert (robust.initial_policy, robust.training.iterations) == ("fresh", 250)
+    assert ant.model.reward_features == [13, 14]  # the task space
+    assert robust.model.reward_features is None
 
 
 def test_the_options_of_a_method_reach_it(recipe):

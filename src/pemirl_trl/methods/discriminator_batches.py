@@ -32,11 +32,11 @@ class BatchConfig:
             An extension of the paper; 0 is off.
         jitter_scale: the noise's deviation is drawn per trajectory from U(0, jitter_scale), in
             units of the demonstrations' deviation, feature by feature.
-        mismatched_fraction: share of the negatives that are not the policy's but the expert's, under
-            the context of another demonstration: "expert, but for which task?". Against them alone
-            the logit's optimum is log p(s, a|m) - log p(s, a), the pointwise mutual information of
-            transition and context: what all tasks have in common, a posture say, earns nothing. An
-            extension of the paper; 0 is off.
+        mismatched_fraction: share of the negatives that are the expert's, not the policy's, under
+            the context of another demonstration: an expert, but of which task? Against them alone
+            the logit's optimum is log p(s, a|m) - log p(s, a), the pointwise mutual information
+            of transition and context: what all tasks have in common, a posture say, earns
+            nothing. An extension of the paper; 0 is off.
     """
 
     trajectories: int = 200
@@ -64,8 +64,8 @@ class DiscriminatorBatches:
 
     An expert transition's m is drawn from q(m | its own demonstration), by reparameterisation, and
     its log pi is the current policy's. A policy transition keeps the m that produced it and, unless
-    told otherwise, the log pi of its collection. Mismatched negatives, where they are asked for, stand
-    last.
+    told otherwise, the log pi of its collection. Mismatched negatives, where they are asked for,
+    stand last.
 
     Args:
         model: gives m and log pi.
