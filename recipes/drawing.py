@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -47,17 +47,16 @@ def draw_reward_maps(
 
 
 def draw_learning_curve(
-    config: DictConfig, runs: Sequence[Path], scores: Sequence[Score], path: Path
+    config: DictConfig, runs: Mapping[str, Path], scores: Sequence[Score], path: Path
 ) -> None:
     """True return over environment steps, of meta-training and of adaptation."""
     series = {}
-    for stage in (config.method, "adaptation"):
-        for run in runs:
-            file = run / "curves" / f"{stage}.json"
-            if file.exists():
-                steps, values = zip(*json.loads(file.read_text(encoding="utf-8")), strict=True)
-                env = config.test_environment if stage == "adaptation" else config.environment
-                series[f"{stage} on {env}"] = [(steps, values)]
+    for stage, run in runs.items():
+        file = run / "curves" / f"{stage}.json"
+        if file.exists():
+            steps, values = zip(*json.loads(file.read_text(encoding="utf-8")), strict=True)
+            env = config.test_environment if stage == "adaptation" else config.environment
+            series[f"{stage} on {env}"] = [(steps, values)]
     references = {f"expert on {s.variant}": s.expert for s in scores if s.goals == "all"}
     figure = learning_curve(
         series,

@@ -1,6 +1,7 @@
 """Evaluate a meta-trained model: a table, a results file, reward maps and learning curves.
 
     python recipes/evaluate.py                       # of the runs of meta_train.py, adapt_reward.py
+    python recipes/evaluate.py task=ant trained=pemirl_contrastive
     python recipes/evaluate.py meta_run=... adaptation_run=...
 
 One-shot returns on the training dynamics; policy generalisation and reward adaptation on the
@@ -34,16 +35,17 @@ def evaluate(
 ) -> list[Result]:
     """Measure, write results and figures, print the table."""
     torch.manual_seed(config.seed)
-    model = load_model(meta_run / "model.safetensors")
+    trained = meta_run / "model.safetensors"
+    model, method = load_model(trained), read_metadata(trained)["method"]
     demonstrations = load_test_demonstrations(config)
     curves = {
-        config.method: read_curve(meta_run, config.method),
+        method: read_curve(meta_run, method),
         "adaptation": read_curve(adaptation_run, "adaptation"),
     }
-    contexts = {config.method: context_measures(config, model)}
+    contexts = {method: context_measures(config, model)}
     behaviours = {} if config.planar else behaviour_measures(config, model)
     with folder.timed("evaluation"):
-        scores = {config.method: _scores(config, model, demonstrations, meta_run, adaptation_run)}
+        scores = {method: _scores(config, model, demonstrations, meta_run, adaptation_run)}
         if (meta_run / "meta_il.safetensors").exists():
             meta_il = load_model(meta_run / "meta_il.safetensors")
             scores["meta_il"] = _transfer(config, meta_il, demonstrations, 0)
@@ -61,8 +63,8 @@ def evaluate(
             seed=config.seed,
             split="test",
             scores=tuple(of_row),
-            curves=curves if row == config.method else {},
-            reward=contexts.get(row, {}) | (behaviours if row == config.method else {}),
+            curves=curves if row == method else {},
+            reward=contexts.get(row, {}) | (behaviours if row == method else {}),
             seconds=seconds,
             config=settings,
             **environment_facts(),
@@ -77,13 +79,13 @@ def evaluate(
             read_off = ", ".join(f"{k.split('/')[1]} {v:.3f}" for k, v in measures.items())
             say(f"{row}: the task, read off the contexts of held-out demonstrations: {read_off}")
     for name, value in behaviours.items():
-        say(f"{config.method}, {name}: {value:.3f}")
+        say(f"{method}, {name}: {value:.3f}")
     if config.planar:
         draw_reward_maps(config, model, demonstrations, folder.file("figures/reward_maps.png"))
     draw_learning_curve(
         config,
-        (meta_run, adaptation_run),
-        scores[config.method],
+        {method: meta_run, "adaptation": adaptation_run},
+        scores[method],
         folder.file("figures/learning_curve.png"),
     )
     say(f"results -> {config.results}, figures -> {folder.file('figures')}")
