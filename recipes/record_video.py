@@ -29,9 +29,9 @@ Actor = Callable[[TensorDictBase], TensorDictBase]
 
 
 def adapted(config: DictConfig) -> tuple[Actor, Transform, int]:
-    """The adapted policy of a run, what writes its contexts, and the number of tasks."""
-    model = load_model(data_file(f"{config.run}/model.safetensors"))
-    policy, _ = load_adapted(data_file(f"{config.run}/policy.safetensors"), model)
+    """An adapted policy, what writes its contexts, and the number of tasks."""
+    model = load_model(data_file(config.model_file))
+    policy, _ = load_adapted(data_file(config.policy_file), model)
     demonstrations = load_test_demonstrations(config)
     few = demonstrations[_spread(len(demonstrations), config.tasks)]
     transform = InferContext(
