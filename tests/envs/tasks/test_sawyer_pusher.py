@@ -199,3 +199,21 @@ def test_a_blocked_hand_keeps_its_target_near():
         lag.append((target - data["observation"][:, :3]).abs().max().item())
     assert data["observation"][:, 1].max() < 0.7  # the wall's centre line
     assert 0.04 < max(lag) < 0.06
+
+
+@pytest.mark.parametrize("spin", [100.0, 1000.0])
+def test_a_mug_that_is_squeezed_out_spinning_does_not_break_the_simulation(spin):
+    """Unequal inertias without drag gain energy: 1e6 rad/s after a few steps, then BADQACC."""
+    task = pemirl_envs.get_task("sawyer_pusher/shift")
+    goal = {"goal": torch.tensor([[0.0, 0.9]])}
+    batch = MujocoBatch(task.model, 1, 1)
+    state = task.initial_state(goal, torch.Generator().manual_seed(0))
+    state["qpos"][:, 9] = 2.0  # aloft
+    state["qvel"] = torch.zeros(1, task.model.nv, dtype=torch.float64)
+    state["qvel"][:, 10:13] = torch.tensor([spin, spin / 3, spin / 2], dtype=torch.float64)
+    batch.write(state)
+    fastest = 0.0
+    for _ in range(60):
+        assert not batch.step(1)
+        fastest = max(fastest, float(batch.field("qvel")[:, 10:13].abs().max()))
+    assert fastest < 1.5 * spin
