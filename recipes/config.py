@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 from omegaconf import DictConfig, OmegaConf
@@ -15,6 +15,29 @@ Config = TypeVar("Config")
 def plain(node: DictConfig) -> dict[str, Any]:
     """A node of YAML as a dictionary, with its interpolations resolved."""
     return {str(k): v for k, v in OmegaConf.to_container(node, resolve=True).items()}  # type: ignore[union-attr]
+
+
+def changed_settings(
+    stored: Mapping[str, Any], now: Mapping[str, Any], *, ignore: Sequence[str] = ()
+) -> list[str]:
+    """Settings that both have, with other values: ``"a.b=1, now 2"`` each, in the order of ``now``.
+
+    Names that only one of them has are no change: a release adds and drops settings.
+    """
+    before = dict(_leaves(stored))
+    return [
+        f"{name}={before[name]}, now {value}"
+        for name, value in _leaves(now)
+        if name in before and before[name] != value and name not in ignore
+    ]
+
+
+def _leaves(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in node.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
 
 
 def typed(cls: type[Config], node: DictConfig | Mapping[str, Any]) -> Config:

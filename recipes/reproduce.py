@@ -25,7 +25,7 @@ import torch
 from adapt_reward import adapt, load_test_demonstrations
 from behaviours import behaviour_measures
 from collect_demos import collect_demos
-from config import plain
+from config import changed_settings, plain
 from evaluate import read_curve, read_seconds
 from filelock import FileLock
 from meta_train import meta_train, train_meta_il
@@ -36,7 +36,7 @@ from scoring import Scorer, context_measures
 
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
 from pemirl_trl.checkpoint import read_metadata
-from pemirl_trl.evaluation import Result, Score, environment_facts
+from pemirl_trl.evaluation import Result, Score, environment_facts, read
 
 META_IL_FIELDS = ("seed", "environment", "demonstrations", "meta_il", "preset")
 """What Meta-IL depends on, beside the sizes of the model."""
@@ -46,7 +46,7 @@ def run(config: DictConfig) -> Result | None:
     """One row, one seed: demonstrations, Meta-IL, the method, its policies, their scores."""
     output = Path(config.results) / f"seed{config.seed}.json"
     if config.seed >= config.seeds or output.exists():
-        say(f"{config.row}, seed {config.seed}: nothing to do")
+        say(f"{config.row}, seed {config.seed}: nothing to do{stored_otherwise(config, output)}")
         return None
     draw_demonstrations(config)
     meta_il, meta_il_run = shared_meta_il(config)
@@ -82,6 +82,14 @@ def run(config: DictConfig) -> Result | None:
     result.write(output)
     say(f"{config.row}, seed {config.seed} -> {output}")
     return result
+
+
+def stored_otherwise(config: DictConfig, output: Path) -> str:
+    """Which settings of a stored result are not those of now; what runs it with them."""
+    if not output.exists():
+        return ""
+    changed = changed_settings(read(output).config, plain(config), ignore=("threads", "logger"))
+    return f"; stored with {', '.join(changed)}: delete {output} to run it anew" if changed else ""
 
 
 def measure(

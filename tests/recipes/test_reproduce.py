@@ -68,7 +68,7 @@ def smoke(row, *overrides):
     return config("reproduce", f"row={row}", *SMOKE, *overrides)
 
 
-def test_a_row_is_run_once_and_shares_demonstrations_and_meta_il(reproduce, tmp_path):
+def test_a_row_is_run_once_and_shares_demonstrations_and_meta_il(reproduce, tmp_path, capsys):
     written = reproduce.run(smoke("pemirl"))
     output = tmp_path / "results/point_maze/pemirl/seed0.json"
     result = read(output)
@@ -84,7 +84,13 @@ def test_a_row_is_run_once_and_shares_demonstrations_and_meta_il(reproduce, tmp_
     assert {"meta-il", "pemirl", "reward_adaptation-right"} <= result.seconds.keys()
 
     everything = stamps(tmp_path, "*")
+    capsys.readouterr()
     assert reproduce.run(smoke("pemirl")) is None
+    assert "nothing to do\n" in capsys.readouterr().out
+    # Settings that changed since are named, and the result is left as it is.
+    assert reproduce.run(smoke("pemirl", "training.final_reward_lr=0.5")) is None
+    said = "stored with training.final_reward_lr=None, now 0.5: delete results/point_maze/pemirl"
+    assert said in capsys.readouterr().out
     assert stamps(tmp_path, "*") == everything
 
     # Another row of this seed: the same demonstrations, and the same Meta-IL, trained once.
