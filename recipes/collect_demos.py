@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import hydra
 import torch
-from domains import environment, given_tasks, load_expert
+from domains import data_file, environment, given_tasks, load_expert, random_rollouts
 from omegaconf import DictConfig
 from run_folder import say
 from torchrl.envs import ExplorationType, set_exploration_type
 
 import pemirl_envs
 from pemirl_trl import DemonstrationDataset, Provenance, SampleTasks, __version__
+from pemirl_trl.checkpoint import read_metadata
 
 
 @torch.no_grad()
@@ -34,7 +35,11 @@ def collect_demos(config: DictConfig) -> DemonstrationDataset:
         threads=config.threads,
     )
     horizon = pemirl_envs.get_task(task).horizon
-    expert = load_expert(config.expert or config.experts[task.split("/")[1]])
+    path = config.expert or config.experts[task.split("/")[1]]
+    # Loading once took these random steps. The published files were drawn after them, and the
+    # commands on their cards still make them.
+    random_rollouts(read_metadata(data_file(path))["environment"])
+    expert = load_expert(path)
     with set_exploration_type(ExplorationType.RANDOM):
         rollouts = env.rollout(horizon, expert, break_when_any_done=False)
     mean_return = float(rollouts["next", "reward"].sum(1).mean())

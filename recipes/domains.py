@@ -84,22 +84,46 @@ def expert_policy(name: str, task_key: str, sizes: Mapping[str, Any]) -> Context
         sizes: ``hidden`` (widths), ``activation``, ``scale`` (the deviation before training) and
             ``standardize_task`` (whether it reads the task in deviations over the default split).
     """
+    rollouts = random_rollouts(name)
+    parameters = rollouts["task", task_key][:, 0]
+    return _expert_policy(
+        name,
+        task_key,
+        sizes,
+        Standardize.fit(rollouts["observation"]),
+        Standardize.fit(parameters) if sizes["standardize_task"] else None,
+    )
+
+
+def random_rollouts(name: str) -> TensorDictBase:
+    """256 episodes of random actions: the reachable box, sampled."""
     env = pemirl_envs.make(name, 256, seed=0)
-    horizon = env.task.horizon
-    rollouts = env.rollout(horizon, break_when_any_done=False)
+    return env.rollout(env.task.horizon, break_when_any_done=False)
+
+
+def _expert_policy(
+    name: str,
+    task_key: str,
+    sizes: Mapping[str, Any],
+    standardize: Standardize,
+    standardize_task: Standardize | None,
+) -> ContextPolicy:
     return ContextPolicy(
-        rollouts["observation"].shape[-1],
-        rollouts["action"].shape[-1],
-        rollouts["task", task_key].shape[-1],
+        standardize.features,
+        len(pemirl_envs.get_task(name).action_bounds[0]),
+        _task_features(name, task_key),
         hidden=list(sizes["hidden"]),
         activation=ACTIVATIONS[sizes["activation"]],
         initial_scale=sizes["scale"],
-        standardize=Standardize.fit(rollouts["observation"]),
-        standardize_context=(
-            Standardize.fit(rollouts["task", task_key][:, 0]) if sizes["standardize_task"] else None
-        ),
+        standardize=standardize,
+        standardize_context=standardize_task,
         context_key=("task", task_key),
     )
+
+
+def _task_features(name: str, task_key: str) -> int:
+    low, _ = pemirl_envs.get_task(name).parameter_bounds[task_key]
+    return low.numel()
 
 
 def load_expert(path: str) -> ContextPolicy:
@@ -109,10 +133,14 @@ def load_expert(path: str) -> ContextPolicy:
     sizes = {
         "hidden": [int(width) for width in facts["hidden"].split(",")],
         "activation": facts.get("activation", "relu"),
-        "scale": 1.0,  # the file's own takes its place
-        "standardize_task": facts.get("standardize_task") == "True",
+        "scale": 1.0,  # the file's own takes its place, as it does for both maps
     }
-    policy = expert_policy(facts["environment"], facts["task_key"], sizes)
+    name, key = facts["environment"], facts["task_key"]
+    observations = Standardize.identity(pemirl_envs.get_task(name).observation_size)
+    tasks = None
+    if facts.get("standardize_task") == "True":
+        tasks = Standardize.identity(_task_features(name, key))
+    policy = _expert_policy(name, key, sizes, observations, tasks)
     load_weights(file, {"policy": policy})
     return policy
 
