@@ -5,8 +5,12 @@ from __future__ import annotations
 import os
 from typing import Any
 
+# Before mujoco: OSMesa brings an LLVM of its own, and the triton of PyTorch's CUDA build, which
+# tensordict imports, crashes when it finds that one.
+from tensordict import TensorDict
+
 try:
-    import mujoco  # noqa: F401  # first, for the sake of the message
+    import mujoco  # noqa: F401  # before dm_control, for the sake of the message
 except (AttributeError, ImportError, RuntimeError) as error:
     raise ImportError(
         f"MuJoCo could not be imported with MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}. Where its "
@@ -15,7 +19,6 @@ except (AttributeError, ImportError, RuntimeError) as error:
     ) from error
 
 from dm_control.rl.control import Environment
-from tensordict import TensorDict
 
 from pemirl_envs.control import load as _load_task
 from pemirl_envs.gym import register_tasks

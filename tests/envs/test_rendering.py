@@ -60,6 +60,7 @@ except RenderingError as error:
 
 MISSING_LIBRARY = """
 import ctypes.util
+import tensordict
 ctypes.util.find_library = lambda name: None
 ctypes.CDLL.__init__ = lambda *arguments, **keywords: (_ for _ in ()).throw(OSError("missing"))
 try:
@@ -135,6 +136,12 @@ def test_a_missing_gl_library_is_named_at_import():
     assert "could not be imported with MUJOCO_GL=osmesa" in message
     assert "libosmesa6" in message
     assert "MUJOCO_GL=disable" in message
+
+
+def test_tensordict_is_imported_before_mujoco():
+    """The other order crashes with OSMesa and a PyTorch that brings triton."""
+    order = python("import sys, pemirl_envs; print(*sys.modules)", "disable").split()
+    assert order.index("tensordict") < order.index("mujoco")
 
 
 def test_an_unknown_camera_is_refused():

@@ -167,7 +167,8 @@ def test_the_options_of_a_method_reach_it(recipe):
     assert isinstance(method, AveragedReward)
     assert method.model is model
     assert isinstance(method.method._info_loss, recipe("public_code").PublicCodeInfoLoss)
-    plain = recipe("methods").build(config("meta_train", "preset=smoke"), model, demonstrations)
+    values = config("meta_train", "preset=smoke", "method=pemirl")
+    plain = recipe("methods").build(values, model, demonstrations)
     assert isinstance(plain._info_loss, InfoLoss)
 
 
