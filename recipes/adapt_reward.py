@@ -42,7 +42,7 @@ def adapt(
     stage: str = "adaptation",
     true_reward: bool = False,
 ) -> tuple[ContextPolicy, int]:
-    """Train a fresh policy on the learned reward under the test environment's dynamics.
+    """Train a policy on the learned reward under the test environment's dynamics.
 
     Args:
         config: of the run.
@@ -70,11 +70,7 @@ def adapt(
     )
     count = len(demonstrations) * rollouts
     env = environment(name, count, transform, seed=config.seed, threads=config.threads)
-    policy = model.new_policy(
-        config.adaptation.policy_scale,
-        learn_scale=config.adaptation.learn_policy_scale,
-        activation=config.adaptation.policy_activation,
-    )
+    policy, activation = initial_policy(config, model)
     reward: TensorDictModuleBase | None = model.reward
     optimization = typed(PolicyOptimizationConfig, config.adaptation.optimization)
     if true_reward and config.planar:  # known as a function: the oracle's optimiser is the same
@@ -95,11 +91,29 @@ def adapt(
     facts = {
         "environment": name,
         "env_steps": str(method.env_steps),
-        "activation": config.adaptation.policy_activation,
+        "activation": activation,
     }
     save_weights(file, {"policy": policy}, facts)
     say(f"{stage}: trained on {method.env_steps:,} environment steps -> {file}")
     return policy, method.env_steps
+
+
+def initial_policy(config: DictConfig, model: PEMIRLModel) -> tuple[ContextPolicy, str]:
+    """The policy that adaptation starts from, and its activation.
+
+    Raises:
+        ValueError: ``adaptation.initial_policy`` is neither fresh nor trained.
+    """
+    given = config.adaptation
+    sizes = {"scale": given.policy_scale, "learn_scale": given.learn_policy_scale}
+    if given.initial_policy == "fresh":
+        policy = model.new_policy(**sizes, activation=given.policy_activation)
+        return policy, given.policy_activation
+    if given.initial_policy == "trained":
+        return model.trained_policy(**sizes), "relu"
+    raise ValueError(
+        f"unknown adaptation.initial_policy {given.initial_policy!r}; choose fresh or trained"
+    )
 
 
 def load_adapted(file: Path, model: PEMIRLModel) -> tuple[ContextPolicy, int]:

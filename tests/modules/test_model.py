@@ -78,6 +78,19 @@ def test_it_makes_policies_of_its_sizes():
     assert torch.equal(fresh.get_dist(inputs).mean, m.policy.get_dist(inputs).mean)
 
 
+def test_its_trained_policy_can_be_trained_on():
+    m = model()
+    policy = m.trained_policy(scale=0.2, learn_scale=False)
+    inputs = TensorDict({"observation": torch.randn(N, S), "context": torch.randn(N, 3)}, [N])
+    assert torch.equal(policy.get_dist(inputs).mean, m.policy.get_dist(inputs).mean)
+    torch.testing.assert_close(policy.get_dist(inputs).stddev, torch.full((N, A), 0.2))
+    assert not policy.log_scale.requires_grad
+    with torch.no_grad():
+        for parameter in policy.parameters():
+            parameter.add_(1.0)  # the model's own stays as it is
+    assert not torch.equal(policy.get_dist(inputs).mean, m.policy.get_dist(inputs).mean)
+
+
 @pytest.mark.parametrize(
     ("config", "message"),
     [

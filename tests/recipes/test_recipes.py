@@ -11,6 +11,7 @@ import torch
 from hydra.errors import HydraException
 from imageio_ffmpeg import get_ffmpeg_exe
 from safetensors.torch import load_file
+from tensordict import TensorDict
 
 from pemirl_trl.checkpoint import read_metadata
 from pemirl_trl.evaluation import read
@@ -154,6 +155,20 @@ def test_a_method_may_have_settings_of_its_own_for_a_task():
     assert (robust.initial_policy, robust.training.iterations) == ("fresh", 250)
     assert ant.model.reward_features == [13, 14]  # the task space
     assert robust.model.reward_features is None
+
+
+def test_adaptation_starts_from_the_policy_that_was_asked_for(smoke, recipe):
+    model = load_model(smoke[0] / "smoke/model.safetensors")
+    start = recipe("adapt_reward").initial_policy
+    batch = TensorDict({"observation": torch.randn(5, 2), "context": torch.randn(5, 3)}, [5])
+    kept = model.policy.get_dist(batch).mean
+    for which, same in (("fresh", False), ("trained", True)):
+        values = config("adapt_reward", f"adaptation.initial_policy={which}")
+        policy, activation = start(values, model)
+        assert torch.equal(policy.get_dist(batch).mean, kept) == same
+        assert activation == {"fresh": "tanh", "trained": "relu"}[which]
+    with pytest.raises(ValueError, match="initial_policy 'old'; choose fresh or trained"):
+        start(config("adapt_reward", "adaptation.initial_policy=old"), model)
 
 
 def test_the_options_of_a_method_reach_it(recipe):

@@ -137,3 +137,15 @@ class PEMIRLModel(nn.Module):
             initial_scale=self.config.policy_scale if scale is None else scale,
             learn_scale=learn_scale,
         )
+
+    def trained_policy(
+        self, scale: float | None = None, *, learn_scale: bool = True
+    ) -> ContextPolicy:
+        """A copy of this model's policy, to be trained on: its mean, with a deviation of its own.
+
+        Args:
+            scale, learn_scale: of the deviation, as in :meth:`new_policy`.
+        """
+        policy = self.new_policy(scale, learn_scale=learn_scale)
+        policy.gaussian.net.load_state_dict(self.policy.gaussian.net.state_dict())
+        return policy
