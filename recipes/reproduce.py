@@ -6,6 +6,8 @@
     python recipes/reproduce.py table=point_maze hydra.launcher.n_jobs=4
     python recipes/reproduce.py hydra.mode=RUN row=pemirl seed=0                   # one run
     python recipes/reproduce.py hydra/launcher=submitit_slurm              # hydra-submitit-launcher
+    python recipes/reproduce.py hydra/launcher=ray                         # hydra-ray-launcher
+    python recipes/reproduce.py -m table=ablations row=base,info_none seed=0,1     # some of a table
 
 One job per row and seed (conf/table, conf/row), as many at a time as ``hydra.launcher.n_jobs``.
 Each seed has its own demonstrations and its own Meta-IL, which all its rows share. A job writes
