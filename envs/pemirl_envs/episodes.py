@@ -143,8 +143,11 @@ class Episodes:
             raise RuntimeError("reset the environment before its first step")
         low, high = self.task.action_bounds
         finite = check_action(action, (self.simulation.num_sims, len(low)))
-        healthy = None if finite.all() else finite
-        failures = {i: "the action is not finite" for i in (~finite).nonzero().flatten().tolist()}
+        healthy, failures = None, {}
+        if not finite.all():
+            healthy = finite
+            broken = (~finite).nonzero().flatten().tolist()
+            failures = dict.fromkeys(broken, "the action is not finite")
         control = torch.clamp(action.detach(), low, high)
         reward = self.task.reward(self.simulation.field, control, self.parameters)
         # The step that follows computes what derives from them.

@@ -15,6 +15,7 @@ from collections.abc import Callable
 import mujoco
 import torch
 from torch import Generator, Tensor
+from torch.linalg import vector_norm
 from torch.nn.functional import pad
 
 from pemirl_envs.simulation import Fields, State
@@ -127,8 +128,8 @@ class SawyerPusher(Task):
     def reward(self, fields: Fields, action: Tensor, parameters: Parameters) -> Tensor:
         """r(s) = -|hand - mug|_2 - |mug_xy - g|_2, float32 ``[N]``; metres (paper, appendix)."""
         mug = _mug(fields)
-        to_mug = (_hand(fields) - mug).square().sum(-1).sqrt()
-        to_goal = (mug[:, :2] - parameters["goal"]).square().sum(-1).sqrt()
+        to_mug = vector_norm(_hand(fields) - mug, dim=-1)
+        to_goal = vector_norm(mug[:, :2] - parameters["goal"], dim=-1)
         return (-to_mug - to_goal).float()
 
 

@@ -14,6 +14,7 @@ from collections.abc import Callable
 import mujoco
 import torch
 from torch import Generator, Tensor
+from torch.linalg import vector_norm
 from torch.nn.functional import pad
 
 from pemirl_envs.simulation import Fields, State
@@ -23,7 +24,6 @@ from pemirl_envs.tasks.goals import GoalBox
 _XML = pathlib.Path(__file__).with_suffix(".xml")
 _ARM_JOINTS = 7
 
-_BALL_HEIGHT = -0.275  # m, of the centre of a ball that lies on the table
 _GOAL_HEIGHT = -0.324  # m, where the goal is drawn
 _BALL_LOW, _BALL_HIGH = (-0.1, -0.1), (0.1, 0.0)  # m, the rectangle in which the ball starts
 _VELOCITY_OFFSET = 0.005  # rad/s, half-width of the arm's uniform initial velocity (AIRL)
@@ -90,22 +90,18 @@ class Sweeper(Task):
         """Joint angles [7] (rad), joint velocities [7] (rad/s), blade [3] and ball [3] (m)."""
         angles = fields("qpos")[:, :_ARM_JOINTS]
         velocities = fields("qvel")[:, :_ARM_JOINTS]
-        return torch.cat([angles, velocities, _blade(fields), _ball(fields)], -1).float()
+        return torch.cat([angles, velocities, _blade_and_ball(fields).flatten(1)], -1).float()
 
     def reward(self, fields: Fields, action: Tensor, parameters: Parameters) -> Tensor:
         """r(s) = -|blade - ball|_2 - |ball_xy - g|_2, float32 ``[N]``; metres (paper, appendix)."""
-        ball = _ball(fields)
-        to_ball = (_blade(fields) - ball).square().sum(-1).sqrt()
-        to_goal = (ball[:, :2] - parameters["goal"]).square().sum(-1).sqrt()
+        blade, ball = _blade_and_ball(fields).unbind(1)
+        to_ball = vector_norm(blade - ball, dim=-1)
+        to_goal = vector_norm(ball[:, :2] - parameters["goal"], dim=-1)
         return (-to_ball - to_goal).float()
 
 
-def _blade(fields: Fields) -> Tensor:
-    return fields("site_xpos")[:, 0]  # the model's only site: the middle of the blade
-
-
-def _ball(fields: Fields) -> Tensor:
-    return pad(fields("qpos")[:, _ARM_JOINTS:], (0, 1), value=_BALL_HEIGHT)
+def _blade_and_ball(fields: Fields) -> Tensor:
+    return fields("site_xpos")  # the model's two sites, [N, 2, 3]: middle of the blade, of the ball
 
 
 VARIANTS: dict[str, Callable[[], Task]] = {
