@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import EngFormatter
 from numpy.typing import ArrayLike
@@ -59,13 +60,10 @@ def reward_maps(
     Raises:
         ValueError: the number of contexts or the shapes do not agree.
     """
-    rows = {"learned reward": np.asarray(learned), "true reward": np.asarray(true)}
+    rows = {"learned reward": np.asarray(learned)}
     if shaped is not None:
-        rows = {
-            "learned reward": rows["learned reward"],
-            "shaped reward": np.asarray(shaped),
-            **rows,
-        }
+        rows["shaped reward"] = np.asarray(shaped)
+    rows["true reward"] = np.asarray(true)
     goals = np.asarray(goals)
     count = len(goals)
     paths = None if demonstrations is None else np.asarray(demonstrations)
@@ -78,36 +76,45 @@ def reward_maps(
     }
     if any(m.ndim != 3 for m in rows.values()) or any(s[0] != count for s in lengths.values()):
         raise ValueError(f"got shapes {lengths}; expected [C, H, W] maps and C of everything else")
-    (x_low, x_high), (y_low, y_high) = extent
-    height = _SIDE * (y_high - y_low) / (x_high - x_low)
-    side = (_SIDE * count + 1.2, height * len(rows) + 0.5)
-    figure = Figure(figsize=side, layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(len(rows), count, squeeze=False, sharex=True, sharey=True)
-    for row, (name, maps) in enumerate(rows.items()):
-        for column, axes in enumerate(grid[row]):
-            image = axes.imshow(
-                maps[column],
-                origin="lower",
-                extent=(x_low, x_high, y_low, y_high),
-                cmap="viridis",
-                norm=Normalize(maps[column].min(), maps[column].max()),
-                interpolation="bilinear",
-            )
+    figure, grid = _map_grid(len(rows), count, extent)
+    for row, (name, maps) in zip(grid, rows.items(), strict=True):
+        images = [_draw_map(axes, values, extent) for axes, values in zip(row, maps, strict=True)]
+        row[0].set_ylabel(name, fontsize=10)
+        bar = figure.colorbar(images[-1], ax=list(row), fraction=0.04, pad=0.01)
+        bar.set_ticks([maps[-1].min(), maps[-1].max()], labels=["low", "high"])
+        bar.outline.set_visible(False)
+    for column in range(count):
+        for axes in grid[:, column]:
             if paths is not None:
                 axes.plot(*paths[column].T, color="white", linewidth=1.2, path_effects=_OUTLINE)
             axes.add_collection(
                 LineCollection(segments, colors="black", linewidths=5, capstyle="round")
             )
             _mark(axes, goals[column], None if starts is None else starts[column])
-            axes.set(xlim=(x_low, x_high), ylim=(y_low, y_high), xticks=[], yticks=[])
-            if row == 0 and titles is not None:
-                axes.set_title(titles[column], fontsize=9)
-        grid[row, 0].set_ylabel(name, fontsize=10)
-        bar = figure.colorbar(image, ax=list(grid[row]), fraction=0.04, pad=0.01)
-        bar.set_ticks([image.norm.vmin, image.norm.vmax], labels=["low", "high"])
-        bar.outline.set_visible(False)
+        if titles is not None:
+            grid[0, column].set_title(titles[column], fontsize=9)
     return figure
+
+
+def _map_grid(rows: int, columns: int, extent: Bounds) -> tuple[Figure, np.ndarray]:
+    (x_low, x_high), (y_low, y_high) = extent
+    height = _SIDE * (y_high - y_low) / (x_high - x_low)
+    figure = Figure(figsize=(_SIDE * columns + 1.2, height * rows + 0.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+
+
+def _draw_map(axes: Axes, values: np.ndarray, extent: Bounds) -> AxesImage:
+    image = axes.imshow(
+        values,
+        origin="lower",
+        extent=(*extent[0], *extent[1]),
+        cmap="viridis",
+        norm=Normalize(values.min(), values.max()),
+        interpolation="bilinear",
+    )
+    axes.set(xlim=extent[0], ylim=extent[1], xticks=[], yticks=[])
+    return image
 
 
 def _mark(axes: Axes, goal: np.ndarray, start: np.ndarray | None) -> None:
