@@ -210,3 +210,12 @@ def test_mismatched_negatives_need_contexts(reach, negatives):
         DiscriminatorBatches(
             model, reach.demonstrations, negatives, BatchConfig(mismatched_fraction=0.5)
         )
+
+
+def test_log_pi_may_be_relative_to_the_policys_density_at_its_mean(draw):
+    model, plain = draw(mismatched_fraction=0.3)
+    relative = draw(mismatched_fraction=0.3, relative_log_prob=True)[1]
+    scale = model.policy.log_scale.detach().exp()
+    peak = Normal(torch.zeros_like(scale), scale).log_prob(torch.zeros_like(scale)).sum()
+    torch.testing.assert_close(relative["action_log_prob"], plain["action_log_prob"] - peak)
+    assert torch.equal(relative["observation"], plain["observation"])

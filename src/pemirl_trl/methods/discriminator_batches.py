@@ -37,6 +37,10 @@ class BatchConfig:
             the logit's optimum is log p(s, a|m) - log p(s, a), the pointwise mutual information
             of transition and context: what all tasks have in common, a posture say, earns
             nothing. An extension of the paper; 0 is off.
+        relative_log_prob: whether log pi is taken relative to the current policy's density at its
+            mean. A constant in each batch, which r's own constant would take up. But where the
+            deviation is annealed the constant grows, by log(1 / 0.3) per action component say, and
+            a network that chases it tilts where no data hold it. An extension of the paper.
     """
 
     trajectories: int = 200
@@ -46,6 +50,7 @@ class BatchConfig:
     jitter_fraction: float = 0.0
     jitter_scale: float = 0.0
     mismatched_fraction: float = 0.0
+    relative_log_prob: bool = False
 
     def __post_init__(self) -> None:
         if self.negative_log_prob not in get_args(NegativeLogProb):
@@ -105,7 +110,11 @@ class DiscriminatorBatches:
             parts.append(self._policy(last, c.trajectories - mismatched))
         if mismatched > 0:
             parts.append(self._mismatched(parts[0], mismatched))
-        return TensorDict.cat(parts).reshape(-1)
+        batch = TensorDict.cat(parts).reshape(-1)
+        if c.relative_log_prob:
+            relative = batch["action_log_prob"] - self.model.policy.log_peak.detach()
+            batch.set("action_log_prob", relative)
+        return batch
 
     def _expert(self) -> TensorDict:
         c = self.config

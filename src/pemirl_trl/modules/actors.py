@@ -101,6 +101,11 @@ class ContextPolicy(ProbabilisticActor):
         """Logarithm of the deviation, ``[A]``."""
         return self.gaussian.log_scale
 
+    @property
+    def log_peak(self) -> Tensor:
+        """The logarithm of the density at the mean, the same for all inputs; a scalar."""
+        return -(self.log_scale + 0.5 * math.log(2 * math.pi)).sum()
+
 
 class _ValueNet(nn.Module):
     def __init__(self, net: nn.Module, standardize: Standardize, horizon: int) -> None:
