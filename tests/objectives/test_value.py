@@ -67,10 +67,13 @@ def test_the_linear_baseline_is_fitted_to_each_contexts_returns():
     result = FiniteHorizonAdvantage(gamma=0.9, rollouts_per_context=K, standardize=None)(batch)
     returns = discounted_return(batch["next", "reward"].squeeze(-1), 0.9)
     features = time_polynomial_features(batch["observation"])
+    of_one = discounted_return(torch.ones(K, T), 0.9)
     for m in range(M):
         rows = slice(m * K, (m + 1) * K)
-        baseline = ridge_prediction(features[rows].flatten(0, 1)[None], returns[rows].view(1, -1))
-        expected = returns[rows] - baseline.view(K, T)
+        level = batch["next", "reward"][rows].mean() * of_one
+        rest = (returns[rows] - level).view(1, -1)
+        baseline = level + ridge_prediction(features[rows].flatten(0, 1)[None], rest).view(K, T)
+        expected = returns[rows] - baseline
         assert torch.allclose(result["advantage"][rows].squeeze(-1), expected)
     assert torch.allclose(result["value_target"].squeeze(-1), returns)
 
@@ -80,6 +83,20 @@ def test_a_return_that_time_explains_leaves_no_advantage():
     result = FiniteHorizonAdvantage(gamma=1.0, rollouts_per_context=K, standardize=None)(batch)
     assert result["advantage"].abs().max() < 1e-2
     assert result["value_target"].max() == T
+
+
+@pytest.mark.parametrize("lmbda", [0.97, 1.0])
+def test_a_constant_in_the_reward_leaves_the_advantages_as_they_are(lmbda):
+    """Nothing ends an episode but time, so a reward's level means nothing."""
+    horizon = 500  # 1 - 0.99^(T - t), the return of a constant, is far from a cubic in t here
+    batch = TensorDict({"observation": torch.randn(4, horizon, 2)}, (4, horizon))
+    reward = 0.01 * torch.randn(4, horizon, 1)
+    advantage = FiniteHorizonAdvantage(lmbda=lmbda, rollouts_per_context=2, standardize="context")
+    values = [
+        advantage(batch.copy().set(("next", "reward"), reward + level))["advantage"]
+        for level in (0.0, -2.0)
+    ]
+    assert torch.allclose(*values)
 
 
 def test_standardised_advantages_and_another_reward_key():
