@@ -1,5 +1,6 @@
 """Against mismatched negatives alone the logit is a pointwise mutual information, known here."""
 
+import pytest
 import torch
 from tensordict import TensorDict
 from torch.distributions import Independent, Normal
@@ -36,7 +37,8 @@ def demonstrations():
     )
 
 
-def test_the_reward_is_the_mutual_information_of_state_and_context():
+@pytest.mark.parametrize("relative", [False, True])
+def test_the_reward_is_the_mutual_information_of_state_and_context(relative):
     torch.manual_seed(0)
     sizes = ModelConfig(context_dim=1, reward_features=(0, 1), reward_gamma=0.0)
     model = PEMIRLModel(3, 1, 1, sizes)
@@ -46,7 +48,9 @@ def test_the_reward_is_the_mutual_information_of_state_and_context():
             parameter.requires_grad_(False)
     del model.encoder
     object.__setattr__(model, "encoder", Known())
-    config = BatchConfig(trajectories=1000, time_steps=1, mismatched_fraction=1.0)
+    config = BatchConfig(
+        trajectories=1000, time_steps=1, mismatched_fraction=1.0, relative_log_prob=relative
+    )
     batches = DiscriminatorBatches(model, demonstrations(), Negatives(1), config)
     loss = DiscriminatorLoss(AIRLDiscriminator(model.reward))
     optimizer = torch.optim.Adam(model.reward.reward_net.parameters(), lr=1e-2)
@@ -56,7 +60,8 @@ def test_the_reward_is_the_mutual_information_of_state_and_context():
 
     x, y = torch.meshgrid(torch.linspace(-2, 2, 9), torch.linspace(1, 3, 5), indexing="ij")
     state = torch.stack([x, y, torch.zeros_like(x)], -1)
-    log_pi = Normal(0.0, 1.0).log_prob(torch.tensor(0.0))
+    # All actions stand at the policy's mean, where a relative log pi is 0.
+    log_pi = 0.0 if relative else Normal(0.0, 1.0).log_prob(torch.tensor(0.0))
     with torch.no_grad():
         for m in (-1.0, 1.0):
             learned = model.reward.reward(state, torch.full((9, 5, 1), m)).squeeze(-1) - log_pi
