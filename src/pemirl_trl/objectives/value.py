@@ -75,10 +75,10 @@ class FiniteHorizonAdvantage:
 
     Writes ``advantage`` and ``value_target``, both ``[N, T, 1]``. The baseline is a value
     network, or, with ``value=None``, the linear one of Duan et al. (2016), fitted in closed form to
-    the returns of each context's own batch of rollouts on (s, s^2, t, t^2, t^3, 1); the return of
-    their mean reward is taken out before the fit and added after it, so that a constant in the reward
-    leaves advantages as they are. Where a context has few more transitions than these 2 S + 4
-    features, the fit would interpolate: use a network.
+    the returns of each context's own batch of rollouts on (s, s^2, t, t^2, t^3, 1). The return of
+    their mean reward is taken out before the fit and added after it, so that a constant in the
+    reward leaves advantages as they are. Where a context has few more transitions than these
+    2 S + 4 features, the fit would interpolate: use a network.
 
     Args:
         gamma: discount.
@@ -139,8 +139,8 @@ class FiniteHorizonAdvantage:
         if self.value is not None:
             return self.value(tensordict.select(*self.value.in_keys))["state_value"]
         returns = self._by_context(discounted_return(reward.squeeze(-1), self.gamma).unsqueeze(-1))
-        # What a constant reward of 1 returns is no cubic in t: a reward's level, which means nothing,
-        # would leave an error in the baseline that buries its differences.
+        # What a constant reward of 1 returns is no cubic in t: a reward's level, which means
+        # nothing, would leave an error in the baseline that buries its differences.
         annuity = discounted_return(torch.ones_like(reward.squeeze(-1)), self.gamma).unsqueeze(-1)
         level = self._by_context(reward).mean(1, keepdim=True) * self._by_context(annuity)
         features = time_polynomial_features(self.observation_map(tensordict["observation"]))
