@@ -21,6 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from benchmark_tables import benchmark_parts
 from config import plain, typed
 from matplotlib.figure import Figure
 from omegaconf import OmegaConf
@@ -152,6 +153,10 @@ def generate(root: Path) -> Pages:
                 pages.parts[page][part] = _part(items, tables, labels, page, pages.figures)
             except (ValueError, TypeError) as error:
                 raise ValueError(f"{page}, part {part!r}: {error}") from error
+    for page, names in values.get("benchmarks", {}).items():
+        pages.parts.setdefault(page, {}).update(
+            benchmark_parts(root / "results/benchmarks", names)
+        )
     return pages
 
 

@@ -1,6 +1,7 @@
 """Pages are what the results files give, and what is written by hand around them stays."""
 
 import importlib
+import json
 import pathlib
 import sys
 
@@ -186,6 +187,33 @@ def test_a_wrong_specification_says_where(command, root, old, new, message):
     assert old in file.read_text(encoding="utf-8")
     file.write_text(PAGES.replace(old, new), encoding="utf-8")
     with pytest.raises(ValueError, match=message):
+        command("--write")
+
+
+def test_benchmarks_are_tables_of_their_files(command, root):
+    pages = root / "recipes/pages.yaml"
+    pages.write_text(f"{PAGES}\nbenchmarks: {{docs/page.md: [stepping]}}\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"page\.md has markers of .*; expected, .*'stepping'"):
+        command("--write")
+    page = root / "docs/page.md"
+    page.write_text(f"{PAGE}<!-- stepping:begin -->\n<!-- stepping:end -->\n", encoding="utf-8")
+    ratios = {"environment": 0.85, "environment + policy": 0.7, "collector": 0.654}
+    measured = {
+        "task": "maze/left", "num_envs": 64, "repetitions": 3, "cpus": 2,
+        "steps_per_second": {"raw engine": 12345}, "ratio_to_raw_engine": ratios,
+        "versions": {"mujoco": "3.17.0", "torch": "2.13.0"},
+    }  # fmt: skip
+    (root / "results/benchmarks").mkdir(parents=True)
+    (root / "results/benchmarks/stepping_maze.json").write_text(json.dumps(measured))
+    command("--write")
+    text = page.read_text(encoding="utf-8")
+    assert "| `maze/left` | 64 | 12,345 | 85% | 70% | 65% |\n" in text
+    assert "2 CPUs; mujoco 3.17.0; torch 2.13.0; repetitions: maze/left: 3.\n" in text
+    pages.write_text(f"{PAGES}\nbenchmarks: {{docs/page.md: [training]}}\n", encoding="utf-8")
+    with pytest.raises(ValueError, match="lacks 'training'; `nox -s bench` writes"):
+        command("--write")
+    pages.write_text(f"{PAGES}\nbenchmarks: {{docs/page.md: [speed]}}\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"benchmark tables \['speed'\]; expected some of"):
         command("--write")
 
 

@@ -1,0 +1,100 @@
+"""Tables of the benchmarks' files, for the pages that :mod:`report` writes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pemirl_trl.evaluation.tables import markdown_table
+
+Benchmark = Mapping[str, Any]
+"""What a benchmark wrote with ``--output``."""
+
+STEPPED = ("environment", "environment + policy", "collector")
+
+
+def _provenance(files: Mapping[str, Benchmark]) -> str:
+    """One line: where and how they ran."""
+    cpus = {f"{file['cpus']} CPUs" for file in files.values() if "cpus" in file}
+    versions = {
+        f"{package} {file['versions'][package]}"
+        for file in files.values()
+        for package in ("mujoco", "torch")
+        if package in file["versions"]
+    }
+    repetitions = ", ".join(f"{task}: {file['repetitions']}" for task, file in files.items())
+    return f"{'; '.join([*sorted(cpus), *sorted(versions)])}; repetitions: {repetitions}.\n"
+
+
+def stepping_table(files: Mapping[str, Benchmark]) -> str:
+    """Rates of the environment and of policies in its loop, over the raw engine's."""
+    chosen = {f["task"]: f for name, f in sorted(files.items()) if name.startswith("stepping_")}
+    lines = [
+        [
+            f"`{task}`",
+            str(file["num_envs"]),
+            f"{file['steps_per_second']['raw engine']:,}",
+            *(f"{file['ratio_to_raw_engine'][name]:.0%}" for name in STEPPED),
+        ]
+        for task, file in chosen.items()
+    ]
+    heading = ["", "simulations", "raw engine, steps/s", *STEPPED]
+    return f"{markdown_table(heading, lines)}\n{_provenance(chosen)}"
+
+
+def training_table(files: Mapping[str, Benchmark]) -> str:
+    """Rates of whole iterations of meta-training, over the raw engine's."""
+    file = files["training"]
+    lines = []
+    for name, row in file["results"].items():
+        parts = sorted(row.get("share_of_time", {}).items(), key=lambda part: -part[1])
+        ratio = f"{row['ratio_to_raw_engine']:.0%}" if "ratio_to_raw_engine" in row else ""
+        split = ", ".join(f"{part} {share:.0%}" for part, share in parts)
+        lines.append([name, f"{row['steps_per_second']:,}", ratio, split])
+    heading = [f"`{file['task']}`, contexts x rollouts", "steps/s", "of raw", "time goes to"]
+    return f"{markdown_table(heading, lines)}\n{_provenance({file['task']: file})}"
+
+
+def integrators_table(files: Mapping[str, Benchmark]) -> str:
+    """Errors, rates and random returns of the ant's integrators."""
+    file = files["integrators"]
+    lines = [
+        [
+            name,
+            f"{row['rms_qpos']:.4f}",
+            f"{row['rms_qvel']:.3f}",
+            f"{row['rms_torso_vx']:.3f}",
+            f"{row['steps_per_cpu_second']:,.0f}",
+            f"{row['random_return']:.1f} ± {row['random_return_std']:.1f}",
+        ]
+        for name, row in file["results"].items()
+        if "rms_qpos" in row  # the others have a rate alone
+    ]
+    errors = ["error of pose", "error of velocities", "error of v_x, m/s"]
+    heading = ["", *errors, "steps/s", "random return"]
+    return f"{markdown_table(heading, lines)}\n{_provenance({file['task']: file})}"
+
+
+TABLES: Mapping[str, Callable[[Mapping[str, Benchmark]], str]] = {
+    "stepping": stepping_table,
+    "training": training_table,
+    "integrators": integrators_table,
+}
+"""By the name of the part of a page."""
+
+
+def benchmark_parts(folder: Path, names: list[str]) -> dict[str, str]:
+    """The parts of a page, of the JSON files in ``folder``.
+
+    Raises:
+        ValueError: an unknown name; a file that a table needs is absent or incomplete.
+    """
+    if unknown := sorted(set(names) - set(TABLES)):
+        raise ValueError(f"benchmark tables {unknown}; expected some of {sorted(TABLES)}")
+    files = {p.stem: json.loads(p.read_text(encoding="utf-8")) for p in folder.glob("*.json")}
+    try:
+        return {name: TABLES[name](files) for name in names}
+    except KeyError as error:
+        raise ValueError(f"{folder} lacks {error}; `nox -s bench` writes its files") from error
