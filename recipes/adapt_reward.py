@@ -19,10 +19,11 @@ from config import typed
 from domains import data_file, environment, one_per_task, true_reward_module
 from omegaconf import DictConfig
 from run_folder import RunFolder, say
+from tensordict import NestedKey
 from tensordict.nn import TensorDictModuleBase
 
 from pemirl_trl import ContextPolicy, DemonstrationDataset, InferContext, PEMIRLModel
-from pemirl_trl.checkpoint import load_weights, read_metadata, save_weights
+from pemirl_trl.files import load_weights, read_metadata, save_weights
 from pemirl_trl.methods import PolicyOptimization, PolicyOptimizationConfig
 from pemirl_trl.pretrained import load_model
 
@@ -71,31 +72,35 @@ def adapt(
     count = len(demonstrations) * rollouts
     env = environment(name, count, transform, seed=config.seed, threads=config.threads)
     policy, activation = initial_policy(config, model)
-    reward: TensorDictModuleBase | None = model.reward
-    optimization = typed(PolicyOptimizationConfig, config.adaptation.optimization)
-    if true_reward and config.planar:  # known as a function: the oracle's optimiser is the same
-        reward = true_reward_module(name, config.task_key)
-    elif true_reward:
-        reward, optimization = None, dataclasses.replace(optimization, imitate_best=0.0)
+    reward, keys, settings = _objective(config, model, name, true_reward)
     method = PolicyOptimization(
         env,
         policy,
         model.horizon,
-        optimization,
+        settings,
         rollouts_per_context=rollouts,
         reward=reward,
-        task_keys=("context", ("task", config.task_key)) if true_reward else ("context",),
+        task_keys=keys,
     )
     folder.train(stage, method, show="return/true")
     file = folder.file("policy.safetensors" if stage == "adaptation" else f"{stage}.safetensors")
-    facts = {
-        "environment": name,
-        "env_steps": str(method.env_steps),
-        "activation": activation,
-    }
+    facts = {"environment": name, "env_steps": str(method.env_steps), "activation": activation}
     save_weights(file, {"policy": policy}, facts)
     say(f"{stage}: trained on {method.env_steps:,} environment steps -> {file}")
     return policy, method.env_steps
+
+
+def _objective(
+    config: DictConfig, model: PEMIRLModel, name: str, true_reward: bool
+) -> tuple[TensorDictModuleBase | None, tuple[NestedKey, ...], PolicyOptimizationConfig]:
+    """The reward (None: the environment's), what tells tasks apart to it, and the settings."""
+    settings = typed(PolicyOptimizationConfig, config.adaptation.optimization)
+    if not true_reward:
+        return model.reward, ("context",), settings
+    keys: tuple[NestedKey, ...] = ("context", ("task", config.task_key))
+    if config.planar:  # known as a function: the oracle's optimiser is the same
+        return true_reward_module(name, config.task_key), keys, settings
+    return None, keys, dataclasses.replace(settings, imitate_best=0.0)
 
 
 def initial_policy(config: DictConfig, model: PEMIRLModel) -> tuple[ContextPolicy, str]:

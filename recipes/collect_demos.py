@@ -18,7 +18,7 @@ from torchrl.envs import ExplorationType, set_exploration_type
 
 import pemirl_envs
 from pemirl_trl import DemonstrationDataset, Provenance, SampleTasks, __version__
-from pemirl_trl.checkpoint import read_metadata
+from pemirl_trl.files import read_metadata
 
 
 @torch.no_grad()

@@ -28,8 +28,8 @@ from pemirl_trl import (
     SampleTasks,
     Standardize,
 )
-from pemirl_trl.checkpoint import load_weights, read_metadata
 from pemirl_trl.evaluation import episode_returns
+from pemirl_trl.files import load_weights, read_metadata
 from pemirl_trl.modules.model import ACTIVATIONS
 
 Actor = Callable[[TensorDictBase], TensorDictBase] | None

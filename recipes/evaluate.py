@@ -11,6 +11,7 @@ changed ones. Each of the last policy, of the mean action, with m the mean of q(
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,8 @@ from run_folder import RunFolder, say
 from scoring import Scorer, context_measures
 
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
-from pemirl_trl.checkpoint import read_metadata
 from pemirl_trl.evaluation import Result, Score, environment_facts, returns_table
+from pemirl_trl.files import read_metadata
 from pemirl_trl.pretrained import load_model
 
 
@@ -38,24 +39,51 @@ def evaluate(
     trained = meta_run / "model.safetensors"
     model, method = load_model(trained), read_metadata(trained)["method"]
     demonstrations = load_test_demonstrations(config)
-    curves = {
-        method: read_curve(meta_run, method),
-        "adaptation": read_curve(adaptation_run, "adaptation"),
-    }
-    contexts = {method: context_measures(config, model)}
+    runs = {method: meta_run, "adaptation": adaptation_run}
+    rewards = {method: context_measures(config, model)}
     behaviours = {} if config.planar else behaviour_measures(config, model)
     with folder.timed("evaluation"):
         scores = {method: _scores(config, model, demonstrations, meta_run, adaptation_run)}
         if (meta_run / "meta_il.safetensors").exists():
             meta_il = load_model(meta_run / "meta_il.safetensors")
             scores["meta_il"] = _transfer(config, meta_il, demonstrations, 0)
-            contexts["meta_il"] = context_measures(config, meta_il)
+            rewards["meta_il"] = context_measures(config, meta_il)
+    for row, contexts in rewards.items():
+        if contexts:
+            read_off = ", ".join(f"{k.split('/')[1]} {v:.3f}" for k, v in contexts.items())
+            say(f"{row}: the task, read off the contexts of held-out demonstrations: {read_off}")
+    for name, value in behaviours.items():
+        say(f"{method}, {name}: {value:.3f}")
+    rewards[method] |= behaviours
+    curves = {method: {stage: read_curve(run, stage) for stage, run in runs.items()}}
+    results = _results(config, folder, runs, scores, rewards, curves)
+    for result in results:
+        result.write(Path(config.results) / f"{result.row}.json")
+    say(returns_table(results))
+    if config.planar:
+        draw_reward_maps(config, model, demonstrations, folder.file("figures/reward_maps.png"))
+    draw_learning_curve(config, runs, scores[method], folder.file("figures/learning_curve.png"))
+    say(f"results -> {config.results}, figures -> {folder.file('figures')}")
+    return results
+
+
+def _results(
+    config: DictConfig,
+    folder: RunFolder,
+    runs: Mapping[str, Path],
+    scores: Mapping[str, Sequence[Score]],
+    rewards: Mapping[str, dict[str, float]],
+    curves: Mapping[str, dict[str, list[list[float]]]],
+) -> list[Result]:
+    """A result of each row of ``scores``; ``runs``: the run of each stage."""
+    meta_run, adaptation_run = runs.values()
     settings = plain(config)
     if meta_run != folder.path:  # the quickstart is one run
-        runs = {"meta_training": meta_run, "adaptation": adaptation_run}
-        settings["runs"] = {stage: read_run(run) for stage, run in runs.items()}
-    seconds = read_seconds(meta_run) | read_seconds(adaptation_run) | folder.seconds
-    results = [
+        settings["runs"] = {
+            "meta_training": read_run(meta_run),
+            "adaptation": read_run(adaptation_run),
+        }
+    return [
         Result(
             table=config.table_name,
             row=row,
@@ -63,33 +91,14 @@ def evaluate(
             seed=config.seed,
             split="test",
             scores=tuple(of_row),
-            curves=curves if row == method else {},
-            reward=contexts.get(row, {}) | (behaviours if row == method else {}),
-            seconds=seconds,
+            curves=curves.get(row, {}),
+            reward=rewards.get(row, {}),
+            seconds=read_seconds(meta_run) | read_seconds(adaptation_run) | folder.seconds,
             config=settings,
             **environment_facts(),
         )
         for row, of_row in scores.items()
     ]
-    for result in results:
-        result.write(Path(config.results) / f"{result.row}.json")
-    say(returns_table(results))
-    for row, measures in contexts.items():
-        if measures:
-            read_off = ", ".join(f"{k.split('/')[1]} {v:.3f}" for k, v in measures.items())
-            say(f"{row}: the task, read off the contexts of held-out demonstrations: {read_off}")
-    for name, value in behaviours.items():
-        say(f"{method}, {name}: {value:.3f}")
-    if config.planar:
-        draw_reward_maps(config, model, demonstrations, folder.file("figures/reward_maps.png"))
-    draw_learning_curve(
-        config,
-        {method: meta_run, "adaptation": adaptation_run},
-        scores[method],
-        folder.file("figures/learning_curve.png"),
-    )
-    say(f"results -> {config.results}, figures -> {folder.file('figures')}")
-    return results
 
 
 def _transfer(

@@ -21,8 +21,8 @@ from run_folder import say
 
 import pemirl_envs
 from pemirl_trl import ContextPolicy
-from pemirl_trl.checkpoint import read_metadata
 from pemirl_trl.evaluation import Result, Score, environment_facts, returns_table
+from pemirl_trl.files import read_metadata
 
 Measured = tuple[torch.Tensor, float]
 """Returns ``[tasks]``, and the outcome's mean over the tasks."""

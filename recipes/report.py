@@ -26,7 +26,6 @@ from config import plain, typed
 from matplotlib.figure import Figure
 from omegaconf import OmegaConf
 
-from pemirl_trl.checkpoint import atomic_path
 from pemirl_trl.evaluation import Result, read_all
 from pemirl_trl.evaluation.comparison import interval_plot, stage_curves
 from pemirl_trl.evaluation.convergence import Stage, convergence_table
@@ -42,6 +41,7 @@ from pemirl_trl.evaluation.tables import (
     scores_of,
     seeds_table,
 )
+from pemirl_trl.files import atomic_path
 
 ROOT = Path(__file__).resolve().parent.parent
 Rows = Mapping[str, str]
@@ -154,9 +154,7 @@ def generate(root: Path) -> Pages:
             except (ValueError, TypeError) as error:
                 raise ValueError(f"{page}, part {part!r}: {error}") from error
     for page, names in values.get("benchmarks", {}).items():
-        pages.parts.setdefault(page, {}).update(
-            benchmark_parts(root / "results/benchmarks", names)
-        )
+        pages.parts.setdefault(page, {}).update(benchmark_parts(root / "results/benchmarks", names))
     return pages
 
 

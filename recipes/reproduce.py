@@ -37,8 +37,8 @@ from run_folder import RunFolder, say
 from scoring import Scorer, context_measures
 
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
-from pemirl_trl.checkpoint import read_metadata
 from pemirl_trl.evaluation import Result, Score, environment_facts, read
+from pemirl_trl.files import read_metadata
 
 META_IL_FIELDS = ("seed", "environment", "demonstrations", "meta_il", "preset")
 """What Meta-IL depends on, beside the sizes of the model."""

@@ -33,7 +33,6 @@ from torch import Tensor
 
 import pemirl_envs
 from pemirl_trl import ContextPolicy, DemonstrationDataset, PEMIRLModel, SampleTasks
-from pemirl_trl.checkpoint import atomic_path
 from pemirl_trl.evaluation import (
     RewardFunction,
     RewardReport,
@@ -46,6 +45,7 @@ from pemirl_trl.evaluation import (
 )
 from pemirl_trl.evaluation.figures import reward_maps, reward_scatter, save_figure
 from pemirl_trl.evaluation.reward_quality import Bounds
+from pemirl_trl.files import atomic_path
 from pemirl_trl.pretrained import load_model
 
 DRAWN_TASKS = 4

@@ -16,8 +16,9 @@ from omegaconf import DictConfig, OmegaConf
 from torchrl.record.loggers import Logger, get_logger
 from tqdm import tqdm
 
-from pemirl_trl.checkpoint import TrainingCheckpoint, atomic_path
+from pemirl_trl.checkpoint import TrainingCheckpoint
 from pemirl_trl.evaluation import environment_facts
+from pemirl_trl.files import atomic_path
 from pemirl_trl.methods import train
 from pemirl_trl.methods.loop import Method, Metrics
 

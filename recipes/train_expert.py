@@ -18,7 +18,7 @@ from run_folder import RunFolder, say
 
 import pemirl_envs
 from pemirl_trl import SampleTasks
-from pemirl_trl.checkpoint import save_weights
+from pemirl_trl.files import save_weights
 from pemirl_trl.methods import PolicyOptimization, PolicyOptimizationConfig
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
-from pemirl_trl.checkpoint import load_weights, read_metadata, save_weights
+from pemirl_trl.files import load_weights, read_metadata, save_weights
 from pemirl_trl.modules import ModelConfig, PEMIRLModel
 
 

@@ -8,8 +8,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from pemirl_trl.checkpoint import write_tensors
 from pemirl_trl.data import DemonstrationDataset, Provenance
+from pemirl_trl.files import write_tensors
 
 M, T, S, A = 6, 5, 3, 2
 PROVENANCE = Provenance("point_maze", 3, -5.5, "0.1", "collect task=point_maze", {"note": "x"})

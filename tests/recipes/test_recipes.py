@@ -13,8 +13,8 @@ from imageio_ffmpeg import get_ffmpeg_exe
 from safetensors.torch import load_file
 from tensordict import TensorDict
 
-from pemirl_trl.checkpoint import read_metadata
 from pemirl_trl.evaluation import read
+from pemirl_trl.files import read_metadata
 from pemirl_trl.methods import AveragedReward
 from pemirl_trl.modules import GAILDiscriminator, NoContext
 from pemirl_trl.objectives import InfoLoss

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 
-from pemirl_trl.checkpoint import read_tensors, write_tensors
 from pemirl_trl.data.minari_format import read_minari, write_minari
 from pemirl_trl.data.validation import check_demonstrations, stack_episodes
+from pemirl_trl.files import read_tensors, write_tensors
 
 __all__ = ["DemonstrationDataset", "Provenance"]
 

@@ -16,8 +16,8 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import EngFormatter
 from numpy.typing import ArrayLike
 
-from pemirl_trl.checkpoint import atomic_path
 from pemirl_trl.evaluation.reward_quality import Bounds
+from pemirl_trl.files import atomic_path
 
 __all__ = ["learning_curve", "reward_maps", "reward_scatter", "save_figure"]
 

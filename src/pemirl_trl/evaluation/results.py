@@ -15,7 +15,7 @@ from typing import Any
 
 import torch
 
-from pemirl_trl.checkpoint import atomic_path
+from pemirl_trl.files import atomic_path
 
 __all__ = [
     "SCHEMA",

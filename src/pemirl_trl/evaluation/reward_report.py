@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -134,22 +135,14 @@ def reward_report(
     generator = Generator().manual_seed(seed)
     per_task: dict[Measure, Tensor] = {}
     for where, transitions in coverage.items():
-        truth = _true_rewards(true, transitions)
         some = torch.randperm(transitions.shape[1], generator=generator)[:epic_transitions]
         samples = independent_samples(transitions, epic_samples, generator)
-        true_form = canonicalise_epic(true, transitions[:, some], samples, gamma)
-        here, there = transitions["observation"], transitions["next", "observation"]
-        basis = radial_basis(here, features, generator)
-        shaping = shaping_subspace(basis(here), basis(there), gamma)
-        for name, reward in rewards.items():
-            values = evaluate_reward(reward, transitions)
-            form = canonicalise_epic(reward, transitions[:, some], samples, gamma)
-            per_task |= {
-                Measure(name, where, "spearman"): spearman(values, truth),
-                Measure(name, where, "pearson"): pearson(values, truth),
-                Measure(name, where, "epic"): pearson_distance(form, true_form),
-                Measure(name, where, "feasible"): feasible_distance(values, truth, shaping),
-            }
+        basis = radial_basis(transitions["observation"], features, generator)
+        epic = partial(
+            canonicalise_epic, transitions=transitions[:, some], samples=samples, gamma=gamma
+        )
+        measured = _on_transitions(rewards, true, transitions, epic, basis, gamma)
+        per_task |= {Measure(name, where, metric): v for (name, metric), v in measured.items()}
     if positions is not None and goals is not None:
         like = next(iter(coverage.values()))
         for name, reward in rewards.items():
@@ -171,6 +164,33 @@ def state_reward_of(module: ShapedReward) -> RewardFunction:
 def shaped_reward_of(module: ShapedReward) -> RewardFunction:
     """f(s, a, s', m) = r + gamma h' - h, of transitions that carry a ``context``."""
     return lambda batch: module(batch.select(*module.in_keys))[module.out_keys[1]]
+
+
+def _on_transitions(
+    rewards: Mapping[str, RewardFunction],
+    true: RewardFunction,
+    transitions: TensorDictBase,
+    epic: Callable[[RewardFunction], Tensor],
+    basis: Callable[[Tensor], Tensor],
+    gamma: float,
+) -> dict[tuple[str, str], Tensor]:
+    """Each metric ``[C]`` of each reward, by the names of both.
+
+    ``epic`` gives a reward's canonical form, ``basis`` the functions that potentials are made of.
+    """
+    truth, true_form = _true_rewards(true, transitions), epic(true)
+    here, there = transitions["observation"], transitions["next", "observation"]
+    shaping = shaping_subspace(basis(here), basis(there), gamma)
+    measured: dict[tuple[str, str], Tensor] = {}
+    for name, reward in rewards.items():
+        values = evaluate_reward(reward, transitions)
+        measured |= {
+            (name, "spearman"): spearman(values, truth),
+            (name, "pearson"): pearson(values, truth),
+            (name, "epic"): pearson_distance(epic(reward), true_form),
+            (name, "feasible"): feasible_distance(values, truth, shaping),
+        }
+    return measured
 
 
 def _true_rewards(true: RewardFunction, transitions: TensorDictBase) -> Tensor:
