@@ -6,7 +6,7 @@ import contextlib
 import json
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -74,17 +74,24 @@ class RunFolder:
             temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
     @contextlib.contextmanager
-    def timed(self, stage: str) -> Iterator[None]:
-        """Measure a stage's wall-clock seconds, added up over resumptions."""
-        record = self.path / "seconds.json"
-        before = json.loads(record.read_text(encoding="utf-8")) if record.exists() else {}
+    def timed(self, stage: str) -> Iterator[Callable[[], None]]:
+        """Measure a stage's wall-clock seconds, added up over resumptions.
+
+        Yields what records them so far: a process that is killed does not come to the end.
+        """
+        file = self.path / "seconds.json"
+        before = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
         start = time.perf_counter()
-        try:
-            yield
-        finally:
+
+        def record() -> None:
             spent = time.perf_counter() - start
             self.seconds = {**before, stage: before.get(stage, 0.0) + spent}
             self.write_json("seconds.json", self.seconds)
+
+        try:
+            yield record
+        finally:
+            record()
 
     def train(self, stage: str, method: Method, show: str) -> list[tuple[int, float]]:
         """Train with checkpoints, logged metrics and a progress bar.
@@ -122,8 +129,9 @@ class RunFolder:
                     self._logger.log_scalar(f"{stage}/{name}", value, step=iteration)
             if iteration % every == 0 or iteration == method.iterations:
                 self.write_json(f"curves/{stage}.json", curve)
+                record_seconds()
 
-        with self.timed(stage), bar:
+        with self.timed(stage) as record_seconds, bar:
             train(method, checkpoint=checkpoint, checkpoint_every=every, on_iteration=report)
         return curve
 

@@ -216,6 +216,22 @@ def test_a_folder_of_another_configuration_is_refused(smoke, recipe, monkeypatch
         recipe("run_folder").RunFolder(config("quickstart", *SMOKE, "seed=7"))
 
 
+def test_seconds_are_recorded_before_the_end_and_added_up(recipe, tmp_path, monkeypatch):
+    """A process that is killed runs no ``finally``: what it recorded so far has to stand there."""
+    monkeypatch.chdir(tmp_path)
+    clock = iter([10.0, 13.0, 13.5, 100.0, 101.0])
+    recipes = recipe("run_folder")
+    monkeypatch.setattr(recipes.time, "perf_counter", lambda: next(clock))
+    values = config("quickstart", *SMOKE, "logger=null")
+    killed = recipes.RunFolder(values)
+    with killed.timed("stage") as record:
+        record()
+        assert json.loads(killed.file("seconds.json").read_text()) == {"stage": 3.0}
+    with recipes.RunFolder(values).timed("stage"):
+        pass
+    assert json.loads(killed.file("seconds.json").read_text()) == {"stage": 4.5}
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [("training.no_such_key=1", "no_such_key"), ("method=gail", "pemirl_robust")],
