@@ -4,31 +4,35 @@
 
 Two rows of the task's table, ``results/TASK/expert`` and ``results/TASK/expert_carried_over``: true
 returns of the mean action over the test tasks, and what a person would look at (``outcomes.py``).
+Two more, ``scripted`` and ``scripted_carried_over``, where the task has controllers by hand
+(``yardsticks.py``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import hydra
 import torch
 from config import plain
-from domains import data_file, load_expert, rollouts_given_tasks
+from domains import Actor, data_file, load_expert, rollouts_given_tasks
 from omegaconf import DictConfig
 from outcomes import OUTCOMES
 from run_folder import say
+from torch import Tensor
+from yardsticks import YARDSTICKS
 
 import pemirl_envs
-from pemirl_trl import ContextPolicy
 from pemirl_trl.evaluation import Result, Score, environment_facts, returns_table
 from pemirl_trl.files import read_metadata
 
-Measured = tuple[torch.Tensor, float]
+Measured = tuple[Tensor, float]
 """Returns ``[tasks]``, and the outcome's mean over the tasks."""
 
 
-def measure(name: str, policy: ContextPolicy | None, config: DictConfig) -> Measured:
+def measure(name: str, policy: Actor, config: DictConfig) -> Measured:
     """A policy that reads the task (or random actions) under some dynamics, on the test tasks."""
     tasks, episodes = pemirl_envs.task_parameters(name, "test"), config.evaluation.episodes
     torch.manual_seed(config.evaluation.seed)
@@ -39,27 +43,33 @@ def measure(name: str, policy: ContextPolicy | None, config: DictConfig) -> Meas
     return returns, float(reached.mean())
 
 
+class Measurement(NamedTuple):
+    """A policy, where it acts, and the environment steps that it was trained on."""
+
+    setting: str
+    environment: str
+    policy: Actor
+    env_steps: int
+
+
 def measure_experts(config: DictConfig) -> list[Result]:
     """Every expert on the dynamics that it was trained on, and the first one on the test's."""
     torch.set_num_threads(1)
-    domain, unit = config.task, OUTCOMES[config.task][0]
-    own, carried = [], []
-    measures: dict[str, float] = {}
-    training, test = (config[k].split("/")[1] for k in ("environment", "test_environment"))
-    for variant in (training, test):
-        name = f"{domain}/{variant}"
-        random, _ = measure(name, None, config)
-        expert, measures[f"{unit}/{variant}"] = measure(name, _expert(config, variant), config)
-        own.append(_score(config, variant, "expert", (expert, random, expert), variant))
-        if variant == test:
-            lost, distance = measure(name, _expert(config, training), config)
-            scores = (lost, random, expert)
-            carried.append(_score(config, variant, "policy_generalisation", scores, training))
-    rows = {
-        "expert": (own, measures),
-        "expert_carried_over": (carried, {f"{unit}/{test}": distance}),
+    training, test = config.environment, config.test_environment
+    own = [_expert(config, name) for name in (training, test)]
+    lost = own[0]._replace(setting="policy_generalisation", environment=test)
+    rows = {"expert": own, "expert_carried_over": [lost]}
+    if training in YARDSTICKS:
+        scripted = [m._replace(policy=YARDSTICKS[m.environment], env_steps=0) for m in own]
+        rows["scripted"] = scripted
+        rows["scripted_carried_over"] = [lost._replace(policy=scripted[0].policy, env_steps=0)]
+    scales = {
+        m.environment: [
+            float(measure(m.environment, p, config)[0].mean()) for p in (None, m.policy)
+        ]
+        for m in own
     }
-    results = [_result(config, row, *values) for row, values in rows.items()]
+    results = [_result(config, row, chosen, scales) for row, chosen in rows.items()]
     for result in results:
         result.write(Path(config.results) / result.row / "seed0.json")
     say(returns_table(results))
@@ -69,29 +79,38 @@ def measure_experts(config: DictConfig) -> list[Result]:
     return results
 
 
-def _expert(config: DictConfig, variant: str) -> ContextPolicy:
-    return load_expert(config.experts[variant])
+def _expert(config: DictConfig, environment: str) -> Measurement:
+    path = config.experts[_variant(environment)]
+    steps = int(read_metadata(data_file(path))["env_steps"])
+    return Measurement("expert", environment, load_expert(path), steps)
 
 
-def _score(
-    config: DictConfig, variant: str, setting: str, returns: Sequence[torch.Tensor], trained: str
-) -> Score:
-    policy, random, expert = returns
-    steps = read_metadata(data_file(config.experts[trained]))["env_steps"]
-    return Score(
-        variant=variant,
-        setting=setting,
-        goals="all",
-        per_task=tuple(policy.tolist()),
-        random=float(random.mean()),
-        expert=float(expert.mean()),
-        env_steps={"meta_training": int(steps), "adaptation": 0},
-    )
+def _variant(environment: str) -> str:
+    return environment.split("/")[1]
 
 
 def _result(
-    config: DictConfig, row: str, scores: Sequence[Score], measures: dict[str, float]
+    config: DictConfig,
+    row: str,
+    measurements: Sequence[Measurement],
+    scales: Mapping[str, Sequence[float]],
 ) -> Result:
+    """``scales``: mean returns of random actions and of the expert, by environment."""
+    scores, outcomes = [], {}
+    for setting, environment, policy, steps in measurements:
+        returns, outcome = measure(environment, policy, config)
+        random, expert = scales[environment]
+        score = Score(
+            variant=_variant(environment),
+            setting=setting,
+            goals="all",
+            per_task=tuple(returns.tolist()),
+            random=random,
+            expert=expert,
+            env_steps={"meta_training": steps, "adaptation": 0},
+        )
+        scores.append(score)
+        outcomes[f"{OUTCOMES[config.task][0]}/{score.variant}"] = outcome
     return Result(
         table=config.table_name,
         row=row,
@@ -99,7 +118,7 @@ def _result(
         seed=0,
         split="test",
         scores=tuple(scores),
-        reward=measures,
+        reward=outcomes,
         seconds={},
         config=plain(config),
         **environment_facts(),

@@ -10,65 +10,6 @@ import pemirl_envs
 from pemirl_envs.simulation import MujocoBatch
 from pemirl_envs.tasks.sawyer_pusher import SawyerPusher
 
-DIRECTLY = None
-AROUND_THE_WALL = torch.tensor([[-0.16, 0.665], [-0.16, 0.78]])  # way points, left of the wall
-
-
-def push_towards(observation, target):
-    """Actions [N, 3] of a controller that gets behind the mug and pushes it to the target."""
-    hand, mug = observation[:, :2], observation[:, 3:5]
-    offset = target - mug
-    distance = offset.norm(dim=-1, keepdim=True)
-    ahead = offset / distance.clamp(min=1e-6)
-    aside = torch.stack([-ahead[:, 1], ahead[:, 0]], -1)
-    along = ((hand - mug) * ahead).sum(-1, keepdim=True)
-    lateral = ((hand - mug) * aside).sum(-1, keepdim=True)
-    beside = mug + 0.075 * torch.where(lateral >= 0, 1.0, -1.0) * aside - 0.05 * ahead
-    in_the_way = (along > -0.04) & (lateral.abs() < 0.06)
-    approach = 0.5 * (torch.where(in_the_way, beside, mug - 0.07 * ahead) - hand)
-    push = 0.01 * ahead * (distance / 0.05).clamp(max=1) - 0.5 * lateral * aside
-    retreat = -0.2 * (hand - mug + 0.055 * ahead)
-    aligned = (along < -0.03) & (lateral.abs() < 0.02)
-    move = torch.where(aligned, torch.where(distance < 0.01, retreat, push), approach)
-    move = move / (move.norm(dim=-1, keepdim=True) / 0.01).clamp(min=1)
-    return torch.cat([move, 0.035 - observation[:, 2:3]], -1) / 0.01
-
-
-def script(name, way_points=DIRECTLY, num_envs=10):
-    """Final distances [N] of the mug to its goal, and the lowest cosine of its tilt."""
-    env = pemirl_envs.make(name, num_envs, split="test", seed=0)
-    data = env.reset()
-    goal, stage, upright = data["task", "goal"], torch.zeros(num_envs, dtype=torch.int64), 1.0
-    for _ in range(env.task.horizon):
-        observation = data["observation"]
-        target = goal
-        if way_points is not None:
-            mug = observation[:, 3:5]
-            reached = (mug - way_points[0]).norm(dim=-1) < 0.03
-            stage = torch.where((stage == 0) & reached, 1, stage)
-            stage = torch.where(mug[:, 1] > 0.74, 2, stage)
-            route = torch.cat([way_points.expand(num_envs, 2, 2), goal[:, None]], 1)
-            target = route[torch.arange(num_envs), stage]
-        data = env.step(data.set("action", push_towards(observation, target)))["next"]
-        x, y = env.episodes.simulation.field("qpos")[:, 11:13].unbind(-1)
-        upright = min(upright, (1 - 2 * (x * x + y * y)).min().item())
-        data = data.exclude("reward")
-    return (data["observation"][:, 3:5] - goal).norm(dim=-1), upright
-
-
-def test_a_scripted_pusher_reaches_the_goals_and_the_mug_stays_upright():
-    distance, upright = script("sawyer_pusher/normal")
-    assert distance.max() < 0.03
-    assert upright > 0.98
-
-
-def test_the_wall_stops_who_pushes_directly_and_can_be_passed():
-    directly, _ = script("sawyer_pusher/shift", num_envs=30)
-    around, upright = script("sawyer_pusher/shift", AROUND_THE_WALL, num_envs=30)
-    assert (directly > 0.05).float().mean() >= 0.5
-    assert around.max() < 0.03
-    assert upright > 0.9
-
 
 def play(model, targets):
     """States [T, N, 27] while the hand's target follows [T, N, 3]."""
