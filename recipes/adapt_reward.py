@@ -1,7 +1,8 @@
 """Infer r(s, m) of new tasks from one demonstration each, and train a policy on it (Algorithm 2).
 
     python recipes/adapt_reward.py model_file=runs/my_run/model.safetensors
-    python recipes/adapt_reward.py task=ant trained=pemirl_contrastive
+    python recipes/adapt_reward.py task=ant          # of the run of meta_train.py task=ant
+    python recipes/adapt_reward.py trained=pemirl    # of the run of meta_train.py method=pemirl
     python recipes/adapt_reward.py test_demonstrations=my_demonstration.safetensors
 
 Writes ``policy.safetensors`` and the learning curve to ``run_dir``. Rewards are the learned ones;

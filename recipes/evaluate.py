@@ -1,7 +1,7 @@
 """Evaluate a meta-trained model: a table, a results file, reward maps and learning curves.
 
     python recipes/evaluate.py                       # of the runs of meta_train.py, adapt_reward.py
-    python recipes/evaluate.py task=ant trained=pemirl_contrastive
+    python recipes/evaluate.py task=ant trained=pemirl   # of another method's
     python recipes/evaluate.py meta_run=... adaptation_run=...
 
 One-shot returns on the training dynamics; policy generalisation and reward adaptation on the

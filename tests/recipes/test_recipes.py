@@ -141,6 +141,29 @@ def test_every_method_is_built_and_runs(method, recipe, tmp_path, monkeypatch):
         assert still == (method in ("pemirl_no_info", "pemirl_contrastive"))
 
 
+@pytest.mark.parametrize(
+    ("task", "method"),
+    [
+        ("point_maze", "pemirl_robust"),
+        ("ant", "pemirl_contrastive"),
+        ("sweeper", "pemirl_contrastive"),
+        ("sawyer_pusher", "pemirl_contrastive"),
+    ],
+)
+def test_a_task_alone_chooses_the_method_that_suits_it(task, method):
+    """With all settings of that method; and later recipes look for its runs."""
+    for name in ("meta_train", "quickstart"):
+        assert config(name, f"task={task}") == config(name, f"task={task}", f"method={method}")
+        assert config(name, f"task={task}", "method=pemirl").method == "pemirl"
+    run_dir = config("meta_train", f"task={task}").run_dir
+    for name in ("adapt_reward", "reward_report"):
+        assert config(name, f"task={task}").model_file == f"{run_dir}/model.safetensors"
+    evaluated = config("evaluate", f"task={task}")
+    assert evaluated.meta_run == run_dir
+    assert evaluated.adaptation_run == config("adapt_reward", f"task={task}").run_dir
+    assert config("record_video", f"task={task}").run == config("quickstart", f"task={task}").run_dir
+
+
 def test_a_method_may_have_settings_of_its_own_for_a_task():
     ant, sweeper, robust = (
         config("meta_train", f"task={task}", f"method={method}")
