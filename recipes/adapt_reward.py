@@ -17,7 +17,7 @@ from pathlib import Path
 import hydra
 import torch
 from config import typed
-from domains import data_file, environment, one_per_task, true_reward_module
+from domains import data_file, environment, one_per_task, run_file, true_reward_module
 from omegaconf import DictConfig
 from run_folder import RunFolder, say
 from tensordict import NestedKey
@@ -133,7 +133,8 @@ def load_adapted(file: Path, model: PEMIRLModel) -> tuple[ContextPolicy, int]:
 @hydra.main(config_path="conf", config_name="adapt_reward", version_base="1.3")
 def main(config: DictConfig) -> None:
     """Entry point."""
-    adapt(config, RunFolder(config), load_model(data_file(config.model_file)))
+    model = load_model(run_file(config.model_file, "meta_train.py"))
+    adapt(config, RunFolder(config), model)
 
 
 if __name__ == "__main__":

@@ -49,6 +49,18 @@ def data_file(name: str) -> Path:
     raise FileNotFoundError(f"no file {name}, neither from here nor from {ROOT}")
 
 
+def run_file(name: str | Path, written_by: str) -> Path:
+    """A file of an earlier run, from the working directory alone: that is where runs write.
+
+    Raises:
+        FileNotFoundError: it is not there; says which recipe writes it.
+    """
+    path = Path(name)
+    if not path.is_file():
+        raise FileNotFoundError(f"no file {path.absolute()}: {written_by} writes it")
+    return path
+
+
 def environment(
     name: str, num_envs: int, transform: Transform, *, seed: int, threads: int
 ) -> EnvBase:

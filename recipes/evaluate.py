@@ -20,6 +20,7 @@ import torch
 from adapt_reward import load_adapted, load_test_demonstrations
 from behaviours import behaviour_measures
 from config import plain
+from domains import run_file
 from drawing import draw_learning_curve, draw_reward_maps
 from omegaconf import DictConfig, OmegaConf
 from run_folder import RunFolder, say
@@ -150,7 +151,10 @@ def read_seconds(run: Path) -> dict[str, float]:
 @hydra.main(config_path="conf", config_name="evaluate", version_base="1.3")
 def main(config: DictConfig) -> None:
     """Entry point."""
-    evaluate(config, RunFolder(config), Path(config.meta_run), Path(config.adaptation_run))
+    meta_run, adaptation_run = Path(config.meta_run), Path(config.adaptation_run)
+    run_file(meta_run / "model.safetensors", "meta_train.py")
+    run_file(adaptation_run / "policy.safetensors", "adapt_reward.py")
+    evaluate(config, RunFolder(config), meta_run, adaptation_run)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import hydra
 import torch
 from adapt_reward import load_adapted, load_test_demonstrations
-from domains import data_file, environment, given_tasks, load_expert
+from domains import environment, given_tasks, load_expert, run_file
 from omegaconf import DictConfig
 from run_folder import say
 from tensordict import TensorDictBase
@@ -30,8 +30,9 @@ Actor = Callable[[TensorDictBase], TensorDictBase]
 
 def adapted(config: DictConfig) -> tuple[Actor, Transform, int]:
     """An adapted policy, what writes its contexts, and the number of tasks."""
-    model = load_model(data_file(config.model_file))
-    policy, _ = load_adapted(data_file(config.policy_file), model)
+    model = load_model(run_file(config.model_file, "quickstart.py or meta_train.py"))
+    file = run_file(config.policy_file, "quickstart.py or adapt_reward.py")
+    policy, _ = load_adapted(file, model)
     demonstrations = load_test_demonstrations(config)
     few = demonstrations[_spread(len(demonstrations), config.tasks)]
     transform = InferContext(

@@ -17,13 +17,13 @@ import torch
 from adapt_reward import adapt, load_test_demonstrations
 from config import typed
 from domains import (
-    data_file,
     environment,
     given_tasks,
     load_expert,
     returns_given_demonstrations,
     returns_given_tasks,
     returns_of_random_actions,
+    run_file,
     true_reward_module,
 )
 from omegaconf import DictConfig
@@ -312,7 +312,8 @@ def write_report(config: DictConfig, folder: RunFolder, model: PEMIRLModel) -> R
 @hydra.main(config_path="conf", config_name="reward_report", version_base="1.3")
 def main(config: DictConfig) -> None:
     """Entry point."""
-    write_report(config, RunFolder(config), load_model(data_file(config.model_file)))
+    model = load_model(run_file(config.model_file, "meta_train.py"))
+    write_report(config, RunFolder(config), model)
 
 
 if __name__ == "__main__":

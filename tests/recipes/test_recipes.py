@@ -161,7 +161,9 @@ def test_a_task_alone_chooses_the_method_that_suits_it(task, method):
     evaluated = config("evaluate", f"task={task}")
     assert evaluated.meta_run == run_dir
     assert evaluated.adaptation_run == config("adapt_reward", f"task={task}").run_dir
-    assert config("record_video", f"task={task}").run == config("quickstart", f"task={task}").run_dir
+    assert (
+        config("record_video", f"task={task}").run == config("quickstart", f"task={task}").run_dir
+    )
 
 
 def test_a_method_may_have_settings_of_its_own_for_a_task():
@@ -178,6 +180,17 @@ def test_a_method_may_have_settings_of_its_own_for_a_task():
     assert (robust.initial_policy, robust.training.iterations) == ("fresh", 250)
     assert ant.model.reward_features == [13, 14]  # the task space
     assert robust.model.reward_features is None
+
+
+def test_runs_are_looked_for_from_here_alone(recipe, tmp_path, monkeypatch):
+    """Another checkout's model would be taken silently, if the repository's folder counted too."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(recipe("domains"), "ROOT", tmp_path / "repository")
+    (tmp_path / "repository/runs").mkdir(parents=True)
+    (tmp_path / "repository/runs/model.safetensors").touch()
+    assert recipe("domains").data_file("runs/model.safetensors").is_file()
+    with pytest.raises(FileNotFoundError, match=rf"{tmp_path}/runs/model.*: meta_train.py writes"):
+        recipe("domains").run_file("runs/model.safetensors", "meta_train.py")
 
 
 def test_adaptation_starts_from_the_policy_that_was_asked_for(smoke, recipe):
