@@ -8,6 +8,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
 RECIPES = Path(__file__).parents[2] / "recipes"
+SMOKE = ("preset=smoke", "threads=1", "run_dir=smoke")
 
 
 @pytest.fixture

@@ -8,9 +8,7 @@ import sys
 
 import pytest
 import torch
-from hydra.errors import HydraException
 from imageio_ffmpeg import get_ffmpeg_exe
-from safetensors.torch import load_file
 from tensordict import TensorDict
 
 from pemirl_trl.evaluation import read
@@ -20,10 +18,9 @@ from pemirl_trl.modules import GAILDiscriminator, NoContext
 from pemirl_trl.objectives import InfoLoss
 from pemirl_trl.pretrained import load_model
 
-from .conftest import RECIPES, config
+from .conftest import RECIPES, SMOKE, config
 
 WITHOUT_ADAPTATION = {("one_shot", "left"), ("policy_generalisation", "right")}
-SMOKE = ("preset=smoke", "threads=1", "run_dir=smoke")
 
 
 def run(name, *overrides, cwd):
@@ -141,47 +138,6 @@ def test_every_method_is_built_and_runs(method, recipe, tmp_path, monkeypatch):
         assert still == (method in ("pemirl_no_info", "pemirl_contrastive"))
 
 
-@pytest.mark.parametrize(
-    ("task", "method"),
-    [
-        ("point_maze", "pemirl_robust"),
-        ("ant", "pemirl_contrastive"),
-        ("sweeper", "pemirl_contrastive"),
-        ("sawyer_pusher", "pemirl_contrastive"),
-    ],
-)
-def test_a_task_alone_chooses_the_method_that_suits_it(task, method):
-    """With all settings of that method; and later recipes look for its runs."""
-    for name in ("meta_train", "quickstart"):
-        assert config(name, f"task={task}") == config(name, f"task={task}", f"method={method}")
-        assert config(name, f"task={task}", "method=pemirl").method == "pemirl"
-    run_dir = config("meta_train", f"task={task}").run_dir
-    for name in ("adapt_reward", "reward_report"):
-        assert config(name, f"task={task}").model_file == f"{run_dir}/model.safetensors"
-    evaluated = config("evaluate", f"task={task}")
-    assert evaluated.meta_run == run_dir
-    assert evaluated.adaptation_run == config("adapt_reward", f"task={task}").run_dir
-    assert (
-        config("record_video", f"task={task}").run == config("quickstart", f"task={task}").run_dir
-    )
-
-
-def test_a_method_may_have_settings_of_its_own_for_a_task():
-    ant, sweeper, robust = (
-        config("meta_train", f"task={task}", f"method={method}")
-        for task, method in (
-            ("ant", "pemirl_contrastive"),
-            ("sweeper", "pemirl_contrastive"),
-            ("ant", "pemirl_robust"),
-        )
-    )
-    assert (ant.initial_policy, ant.training.iterations) == ("meta_il", 100)
-    assert (sweeper.initial_policy, sweeper.training.iterations) == ("meta_il", 60)
-    assert (robust.initial_policy, robust.training.iterations) == ("fresh", 250)
-    assert ant.model.reward_features == [13, 14]  # the task space
-    assert robust.model.reward_features is None
-
-
 def test_runs_are_looked_for_from_here_alone(recipe, tmp_path, monkeypatch):
     """Another checkout's model would be taken silently, if the repository's folder counted too."""
     monkeypatch.chdir(tmp_path)
@@ -268,95 +224,11 @@ def test_seconds_are_recorded_before_the_end_and_added_up(recipe, tmp_path, monk
     assert json.loads(killed.file("seconds.json").read_text()) == {"stage": 4.5}
 
 
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [("training.no_such_key=1", "no_such_key"), ("method=gail", "pemirl_robust")],
-)
-def test_hydra_names_what_there_is(override, message):
-    with pytest.raises(HydraException, match=message):
-        config("meta_train", override)
-
-
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        ("+training.typo=1", r"unknown keys \['typo'\] for PEMIRLConfig; legal are"),
-        ("demonstrations=nowhere.safetensors", "no file nowhere.safetensors"),
-        ("environment=point_maze/up", "unknown task 'point_maze/up'; expected one of"),
-        ("meta_il.steps=15", "steps"),
-        (
-            "algorithm=bc",
-            r"unknown algorithm 'bc'; choose one of \['airl', 'meta_infogail', 'pemirl'",
-        ),
-        ("info_estimator=mine", "unknown info_estimator 'mine'; choose lemma2 or public_code"),
-        ("model.reward=airl", r"unknown reward 'airl'; choose one of \('shaped', 'gail'\)"),
-    ],
-)
-def test_bad_values_are_explained(recipe, tmp_path, monkeypatch, override, message):
-    monkeypatch.chdir(tmp_path)
-    values = config("meta_train", *SMOKE, "logger=null", override)
-    with pytest.raises((ValueError, FileNotFoundError), match=message):
-        recipe("meta_train").meta_train(values, recipe("run_folder").RunFolder(values))
-
-
-def test_a_policy_of_meta_il_needs_contexts(recipe, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    values = config("meta_train", "method=airl", "initial_policy=meta_il", *SMOKE, "logger=null")
-    with pytest.raises(
-        ValueError, match="initial_policy=meta_il needs contexts; got context_dim=0"
-    ):
-        recipe("meta_train").meta_train(values, recipe("run_folder").RunFolder(values))
-
-
 def test_help_lists_every_value_and_touches_nothing(tmp_path):
     text = run("quickstart", "--help", cwd=tmp_path).stdout
     assert "override any as key=value" in text
     assert "imitation_coeff: 0.01" in text
     assert list(tmp_path.iterdir()) == []
-
-
-def test_expert_and_demonstrations(recipe, tmp_path, monkeypatch):
-    """A tiny expert and its demonstrations, as the data card's commands make them."""
-    monkeypatch.chdir(tmp_path)
-    tiny = ("optimization.iterations=1", "tasks_per_batch=2", "rollouts_per_task=2")
-    values = config(
-        "train_expert", *tiny, "output=expert.safetensors", "evaluation.episodes=1", "logger=null"
-    )
-    recipe("train_expert").train_expert(values, recipe("run_folder").RunFolder(values))
-    values = config(
-        "collect_demos", "expert=expert.safetensors", "output=demos.safetensors", "split=train",
-        "per_task=2",
-    )  # fmt: skip
-    demonstrations = recipe("collect_demos").collect_demos(values)
-    assert len(demonstrations) == 26
-    goals = demonstrations.tasks()["goal"].view(13, 2, 2)
-    assert (goals[:, 0] == goals[:, 1]).all()
-    again = type(demonstrations).load(tmp_path / "demos.safetensors")
-    assert (again.observation == demonstrations.observation).all()
-    assert again.provenance.extra["split"] == "train"
-
-
-def test_the_command_on_the_card_makes_the_published_demonstrations(recipe, tmp_path):
-    output = tmp_path / "again.safetensors"
-    values = config("collect_demos", "split=test", "per_task=1", "seed=1", f"output={output}")
-    made = recipe("collect_demos").collect_demos(values)
-    published = type(made).load(RECIPES.parent / "data/point_maze_test.safetensors")
-    # Bit for bit on one machine; another's matrix products may round otherwise.
-    torch.testing.assert_close(made.observation, published.observation, atol=1e-3, rtol=0)
-    torch.testing.assert_close(made.action, published.action, atol=1e-3, rtol=1e-3)
-
-
-@pytest.mark.parametrize("task", ["point_maze", "ant", "sweeper", "sawyer_pusher"])
-def test_an_expert_loads_from_its_file_alone(recipe, task, monkeypatch):
-    """All that it is stands in the file, and nothing is simulated."""
-    domains = recipe("domains")
-    monkeypatch.setattr(domains.pemirl_envs, "make", None)
-    for path in config("evaluate", f"task={task}").experts.values():
-        policy, stored = domains.load_expert(path), load_file(domains.data_file(path))
-        held = policy.state_dict()
-        assert len(stored) >= len(held) > 0
-        for name, value in held.items():
-            torch.testing.assert_close(value, stored[f"policy.{name}"], rtol=0, atol=0)
 
 
 @pytest.mark.parametrize(
