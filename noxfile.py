@@ -49,11 +49,14 @@ def tests(session: nox.Session) -> None:
 def long(session: nox.Session) -> None:
     """Run the tests that take minutes, and keep their verdicts in results/long_tests.txt."""
     install(session, "-e", ".[test]")
-    report = ("-q", "--no-header", "-rP", "--durations=0", "--durations-min=1")
+    shown = ("-q", "--no-header", "-rP", "--show-capture=stdout")  # verdicts, no progress bars
+    durations = ("--durations=0", "--durations-min=1")
     Path("results").mkdir(exist_ok=True)
     with open("results/long_tests.txt", "w", encoding="utf-8") as verdicts:
         session.run(
-            "pytest", "-m", "long", *report, *session.posargs, env=DETERMINISTIC, stdout=verdicts
+            *("pytest", "-m", "long", *shown, *durations, *session.posargs),
+            env=DETERMINISTIC,
+            stdout=verdicts,
         )
 
 
