@@ -63,19 +63,21 @@ def measure_experts(config: DictConfig) -> list[Result]:
         scripted = [m._replace(policy=YARDSTICKS[m.environment], env_steps=0) for m in own]
         rows["scripted"] = scripted
         rows["scripted_carried_over"] = [lost._replace(policy=scripted[0].policy, env_steps=0)]
-    scales = {
-        m.environment: [
-            float(measure(m.environment, p, config)[0].mean()) for p in (None, m.policy)
-        ]
-        for m in own
+    measured = {
+        row: [measure(m.environment, m.policy, config) for m in chosen]
+        for row, chosen in rows.items()
     }
-    results = [_result(config, row, chosen, scales) for row, chosen in rows.items()]
+    scales = {
+        m.environment: (float(measure(m.environment, None, config)[0].mean()), float(expert.mean()))
+        for m, (expert, _) in zip(own, measured["expert"], strict=True)
+    }
+    results = [_result(config, row, rows[row], measured[row], scales) for row in rows]
     for result in results:
         result.write(Path(config.results) / result.row / "seed0.json")
     say(returns_table(results))
     for result in results:
-        for measured, value in result.reward.items():
-            say(f"{result.row}: {measured} {value:.3f}")
+        for outcome, value in result.reward.items():
+            say(f"{result.row}: {outcome} {value:.3f}")
     return results
 
 
@@ -93,21 +95,21 @@ def _result(
     config: DictConfig,
     row: str,
     measurements: Sequence[Measurement],
-    scales: Mapping[str, Sequence[float]],
+    measured: Sequence[Measured],
+    scales: Mapping[str, tuple[float, float]],
 ) -> Result:
     """``scales``: mean returns of random actions and of the expert, by environment."""
     scores, outcomes = [], {}
-    for setting, environment, policy, steps in measurements:
-        returns, outcome = measure(environment, policy, config)
-        random, expert = scales[environment]
+    for m, (returns, outcome) in zip(measurements, measured, strict=True):
+        random, expert = scales[m.environment]
         score = Score(
-            variant=_variant(environment),
-            setting=setting,
+            variant=_variant(m.environment),
+            setting=m.setting,
             goals="all",
             per_task=tuple(returns.tolist()),
             random=random,
             expert=expert,
-            env_steps={"meta_training": steps, "adaptation": 0},
+            env_steps={"meta_training": m.env_steps, "adaptation": 0},
         )
         scores.append(score)
         outcomes[f"{OUTCOMES[config.task][0]}/{score.variant}"] = outcome
