@@ -78,14 +78,14 @@ def scales(monkeypatch):
 
 @each_method
 def test_deviation_and_imitation_weight_are_annealed_before_collection(name, reach, scales):
-    policy = PolicyConfig(final_imitation_coeff=1.0, final_scale=0.25, anneal_from=0.5)
+    policy = PolicyConfig(final_imitation_coeff=1.0, final_scale=0.25, anneal_begin=0.5)
     method = BUILD[name](reach, iterations=5, policy=policy)
     mean = [p.clone() for p in method.model.policy.gaussian.net.parameters()]
     torch.manual_seed(3)
     coefficients, after = [], []
     for _ in range(5):
         after.append(method.iteration()["policy/scale"])
-        coefficients.append(method._improve_policy.imitation_coeff)
+        coefficients.append(method.sampler.imitation_coeff)
     # The five iterations stand at 0, 1/4, 1/2, 3/4 and 1.
     assert scales == pytest.approx([1.0, 1.0, 1.0, 0.5, 0.25])
     assert after == pytest.approx(scales)  # the policy's step leaves it alone
@@ -99,6 +99,6 @@ def test_without_final_values_nothing_is_annealed(reach, scales):
     torch.manual_seed(3)
     for _ in range(3):
         method.iteration()
-        assert method._improve_policy.imitation_coeff == 0.01
+        assert method.sampler.imitation_coeff == 0.01
     assert scales[0] == 1.0
     assert len(set(scales)) == 3  # the deviation is the policy's own, and learned

@@ -32,7 +32,7 @@ def test_it_is_pemirl_without_the_information_term(reach, state, differences):
 def test_without_contexts_no_network_has_a_context(reach):
     model = reach.model(context_dim=0)
     _, method = after(reach.airl(model=model), 1)
-    stored = method.negatives.state_dict()
+    stored = method.sampler.negatives.state_dict()
     assert stored["context"].shape == (1, 8, reach.horizon, 0)
     for net in (model.policy.gaussian.net, model.reward.reward_net, model.reward.potential_net):
         assert net[0].in_features == 1  # the state's one dimension

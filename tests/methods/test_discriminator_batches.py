@@ -131,7 +131,7 @@ def test_a_policy_transition_has_the_current_policys_density_where_it_is_told_to
 
 
 def test_an_unknown_density_is_refused():
-    with pytest.raises(ValueError, match=r"'mixture'; choose one of \('collection', 'current'\)"):
+    with pytest.raises(ValueError, match=r"negative_log_prob\n  Input should be 'collection' or"):
         BatchConfig(negative_log_prob="mixture")
 
 
@@ -200,7 +200,7 @@ def test_all_or_none_of_the_negatives_may_be_mismatched(draw):
     _, negative = sides(draw(mismatched_fraction=1.0)[1])
     assert len(negative) == TRAJECTORIES
     assert torch.equal(draw(mismatched_fraction=0.0)[1]["context"], draw()[1]["context"])
-    with pytest.raises(ValueError, match=r"mismatched_fraction is 1\.5; expected a share, 0 to 1"):
+    with pytest.raises(ValueError, match=r"mismatched_fraction\n  Input should be less than or"):
         BatchConfig(mismatched_fraction=1.5)
 
 

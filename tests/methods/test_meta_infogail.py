@@ -17,7 +17,7 @@ def weights(module):
 
 def test_the_reward_is_the_logit_and_at_the_last_step_the_information(reach):
     method = reach.meta_infogail(info_coeff=COEFF, contexts=3, rollouts_per_context=4)
-    model, rollouts = method.model, method._collect()
+    model, rollouts = method.model, method.sampler.collect()[0]
     reward = method._reward(rollouts).detach()
     logit = model.reward.net(
         model.standardize(rollouts["observation"]), rollouts["action"]
@@ -39,7 +39,7 @@ def test_the_reward_is_the_logit_and_at_the_last_step_the_information(reach):
 
 def test_without_a_weight_the_information_is_no_reward(reach):
     method = reach.meta_infogail(info_coeff=0.0)
-    rollouts = method._collect()
+    rollouts = method.sampler.collect()[0]
     scored = method.model.reward(rollouts.select("observation", "action"))
     assert torch.equal(method._reward(rollouts), scored["learned_reward"])
 
@@ -50,7 +50,7 @@ def test_psi_ascends_log_q_of_the_rollouts_under_their_own_contexts(reach):
     encoder = copy.deepcopy(method.model.encoder)
     torch.manual_seed(3)
     metrics = method.iteration()
-    stored = {key: value[0][::2] for key, value in method.negatives.state_dict().items()}
+    stored = {key: value[0][::2] for key, value in method.sampler.negatives.state_dict().items()}
     trajectories = {key: stored[key] for key in ("observation", "action")}
     log_q = encoder.get_dist(TensorDict(trajectories, [4])).log_prob(stored["context"][:, 0])
     assert metrics["info/log_q"] == pytest.approx(float(log_q.detach().mean()), rel=1e-5)

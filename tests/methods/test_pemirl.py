@@ -154,7 +154,7 @@ def test_a_weight_of_the_information_term_reaches_theta(reach, differences):
 
 
 def test_the_rewards_learning_rate_fades_out_while_the_policy_is_annealed(reach):
-    policy = PolicyConfig(anneal_from=0.5)
+    policy = PolicyConfig(anneal_begin=0.5)
     method = reach.pemirl(iterations=5, reward_lr=1e-2, final_reward_lr=1e-4, policy=policy)
     rates = []
     for _ in range(5):
@@ -181,7 +181,7 @@ def test_negatives_keep_the_context_and_the_density_of_their_collection(reach):
         policies.append(copy.deepcopy(method.model.policy))
         method.iteration()
 
-    stored = method.negatives.state_dict()  # [3, N, T, ...], oldest first
+    stored = method.sampler.negatives.state_dict()  # [3, N, T, ...], oldest first
     context = stored["context"]
     assert torch.equal(context, context[:, :, :1].expand_as(context))  # along a rollout
     groups = context[:, :, 0].unflatten(1, (3, 2))
@@ -201,8 +201,8 @@ def test_negatives_keep_the_context_and_the_density_of_their_collection(reach):
 def test_the_imitation_loss_shows_each_demonstration_its_own_context(reach):
     method = reach.pemirl(contexts=3, policy=PolicyConfig(imitation_coeff=0.5))
     torch.manual_seed(0)
-    rollouts = method._collect()
-    loss = method._improve_policy.imitation_loss(rollouts)()
+    rollouts = method.sampler.collect()[0]
+    loss = method.sampler.imitation_loss(rollouts)()
     expected = []
     for row in range(0, 6, 2):
         demonstration = reach.demonstrations[int(rollouts["demonstration"][row, 0])]
@@ -213,4 +213,4 @@ def test_the_imitation_loss_shows_each_demonstration_its_own_context(reach):
         expected.append(Normal(loc, policy.log_scale.exp()).log_prob(demonstration["action"]))
     torch.testing.assert_close(loss, -0.5 * torch.stack(expected).sum(-1).mean())
     off = reach.pemirl(policy=PolicyConfig(imitation_coeff=0.0))
-    assert off._improve_policy.imitation_loss(rollouts) is None
+    assert off.sampler.imitation_loss(rollouts) is None

@@ -49,7 +49,7 @@ def test_a_given_reward_takes_the_place_of_the_environments(reach):
 
 
 def test_a_forced_deviation_follows_its_schedule(reach):
-    method = reach.policy_optimization(iterations=10, final_scale=0.1, anneal_fraction=0.5)
+    method = reach.policy_optimization(iterations=10, final_scale=0.1, anneal_finish=0.5)
     mean = [p.clone() for p in method.policy.gaussian.net.parameters()]
     scales = [method.iteration()["policy/scale"] for _ in range(10)]
     # The first of the ten iterations stands at 0, the last at 1.

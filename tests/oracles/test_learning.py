@@ -4,8 +4,8 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
+from pemirl_trl.methods import TRPOConfig
 from pemirl_trl.methods.policy_optimization import PolicyOptimization, PolicyOptimizationConfig
-from pemirl_trl.methods.policy_step import TRPOConfig
 from pemirl_trl.modules import ContextPolicy
 from pemirl_trl.transforms import SampleTasks
 

@@ -2,40 +2,42 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
+from pydantic.dataclasses import dataclass
 from tensordict import TensorDictBase
 from torch.optim import Adam
 from torchrl.envs import EnvBase
 
-from pemirl_trl.data import Negatives
+from pemirl_trl.configuration import CHECKED, Count, NonNegative, Positive
 from pemirl_trl.functional import PolicyReward
-from pemirl_trl.methods.collection import EpisodeCollector
-from pemirl_trl.methods.discriminator_batches import BatchConfig, DiscriminatorBatches
-from pemirl_trl.methods.policy_improvement import (
-    PolicyConfig,
-    PolicyImprovement,
-    learned_policy_reward,
-)
+from pemirl_trl.methods.adversarial import AdaptiveSampler, AdversarialConfig, learned_policy_reward
 from pemirl_trl.modules import AIRLDiscriminator, PEMIRLModel
 from pemirl_trl.objectives import DiscriminatorLoss
 from pemirl_trl.optim import descend
 
 
-@dataclass(frozen=True)
-class AIRLConfig:
-    """Of adversarial IRL; every field means what it does in :class:`PEMIRLConfig`."""
+@dataclass(frozen=True, config=CHECKED)
+class AIRLConfig(AdversarialConfig):
+    """Of adversarial IRL, beside what every adversarial method has.
 
-    iterations: int = 100
-    rollouts_per_context: int = 8
+    Attributes:
+        policy_reward: what the policy maximises: ``"state"`` r, ``"shaped"`` f or ``"score"`` f -
+            log pi.
+        reward_steps: Adam steps on theta and phi per iteration.
+        reward_lr: of theta and phi.
+        final_reward_lr: to which ``reward_lr`` shrinks, log-linearly, while the policy is annealed;
+            None holds it. An extension of the paper: next to a policy that has become precise,
+            classification says little about states farther off, and a reward that keeps learning
+            forgets them.
+        gradient_penalty_coeff: R1 penalty on r; an extension of the paper, 0 is off.
+    """
+
     policy_reward: PolicyReward = "state"
-    reward_steps: int = 10
-    reward_lr: float = 1e-3
-    replay_iterations: int = 20
-    batch: BatchConfig = field(default_factory=BatchConfig)
-    gradient_penalty_coeff: float = 0.0
-    policy: PolicyConfig = field(default_factory=PolicyConfig)
+    reward_steps: Count = 10
+    reward_lr: NonNegative = 1e-3
+    final_reward_lr: Positive | None = None
+    gradient_penalty_coeff: NonNegative = 0.0
 
 
 class AIRL:
@@ -63,38 +65,31 @@ class AIRL:
             )
         self.model, self.config = model, config
         self.iterations = config.iterations
-        self.negatives = Negatives(config.replay_iterations)
-        self._collect = EpisodeCollector(env, model.policy, model.horizon)
-        self._batches = DiscriminatorBatches(
-            model, demonstrations, self.negatives, config.batch, encoder_gradient=False
-        )
+        self.sampler = AdaptiveSampler(model, env, demonstrations, config)
         self._discriminator_loss = DiscriminatorLoss(
             AIRLDiscriminator(model.reward), gradient_penalty_coeff=config.gradient_penalty_coeff
         )
         self._reward_optimizer = Adam(model.reward.parameters(), lr=config.reward_lr)
-        self._improve_policy = PolicyImprovement(
-            model.policy, demonstrations, config.policy, config.rollouts_per_context
-        )
 
     @property
     def env_steps(self) -> int:
         """Environment steps so far."""
-        return self._collect.env_steps
+        return self.sampler.env_steps
 
     def iteration(self) -> dict[str, float]:
         """Collect; theta and phi classify expert from policy; omega follows r."""
-        self._improve_policy.anneal(self._collect.progress(self.iterations))
-        rollouts = self._collect()
-        self.negatives.add(rollouts)
-        metrics = {"return/true": float(rollouts["next", "reward"].sum(1).mean())}
+        c = self.config
+        set_learning_rate(
+            self._reward_optimizer, self.sampler.annealed(c.reward_lr, c.final_reward_lr)
+        )
+        rollouts, metrics = self.sampler.collect()
         metrics |= self._update_reward()
-        reward = learned_policy_reward(self.model.reward, rollouts, self.config.policy_reward)
-        metrics |= self._improve_policy(rollouts, reward)
-        return metrics
+        reward = learned_policy_reward(self.model.reward, rollouts, c.policy_reward)
+        return metrics | self.sampler.improve(rollouts, reward)
 
     def _update_reward(self) -> dict[str, float]:
         for _ in range(self.config.reward_steps):
-            losses = self._discriminator_loss(self._batches.sample(self.config.replay_iterations))
+            losses = self._discriminator_loss(self.sampler.discriminator_batch())
             loss = losses["loss_discriminator"]
             if self.config.gradient_penalty_coeff > 0:
                 loss = loss + losses["loss_gradient_penalty"]
@@ -106,6 +101,11 @@ class AIRL:
         return {
             "model": self.model,
             "reward_optimizer": self._reward_optimizer,
-            "negatives": self.negatives,
-            "collector": self._collect,
+            **self.sampler.components(),
         }
+
+
+def set_learning_rate(optimizer: Adam, lr: float) -> None:
+    """The learning rate of all of an optimiser's parameters from now on."""
+    for group in optimizer.param_groups:
+        group["lr"] = lr

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import torch
+from pydantic.dataclasses import dataclass
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from pemirl_trl.configuration import CHECKED, Count, NonNegative, Share
 from pemirl_trl.data import Negatives
 from pemirl_trl.modules import PEMIRLModel
 
@@ -16,7 +17,7 @@ NegativeLogProb = Literal["collection", "current"]
 FIELDS = ("observation", ("next", "observation"), "action", "context")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=CHECKED)
 class BatchConfig:
     """Of one discriminator batch.
 
@@ -43,25 +44,14 @@ class BatchConfig:
             a network that chases it tilts where no data hold it. An extension of the paper.
     """
 
-    trajectories: int = 200
-    time_steps: int = 10
-    current_fraction: float = 0.5
+    trajectories: Count = 200
+    time_steps: Count = 10
+    current_fraction: Share = 0.5
     negative_log_prob: NegativeLogProb = "collection"
-    jitter_fraction: float = 0.0
-    jitter_scale: float = 0.0
-    mismatched_fraction: float = 0.0
+    jitter_fraction: Share = 0.0
+    jitter_scale: NonNegative = 0.0
+    mismatched_fraction: Share = 0.0
     relative_log_prob: bool = False
-
-    def __post_init__(self) -> None:
-        if self.negative_log_prob not in get_args(NegativeLogProb):
-            raise ValueError(
-                f"unknown negative_log_prob {self.negative_log_prob!r}; choose one of "
-                f"{get_args(NegativeLogProb)}"
-            )
-        if not 0 <= self.mismatched_fraction <= 1:
-            raise ValueError(
-                f"mismatched_fraction is {self.mismatched_fraction}; expected a share, 0 to 1"
-            )
 
 
 class DiscriminatorBatches:

@@ -2,51 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
 import torch
+from pydantic.dataclasses import dataclass
 from tensordict import TensorDictBase
 from torch import Tensor
 from torch.optim import Adam
 from torchrl.envs import EnvBase
 
-from pemirl_trl.data import Negatives
+from pemirl_trl.configuration import CHECKED, Count, NonNegative
 from pemirl_trl.functional import info_encoder_loss, normalized_within_context
-from pemirl_trl.methods.collection import EpisodeCollector
-from pemirl_trl.methods.discriminator_batches import BatchConfig, DiscriminatorBatches
-from pemirl_trl.methods.policy_improvement import PolicyConfig, PolicyImprovement
+from pemirl_trl.methods.adversarial import AdaptiveSampler, AdversarialConfig
 from pemirl_trl.modules import GAILDiscriminator, PEMIRLModel
 from pemirl_trl.objectives import DiscriminatorLoss
 from pemirl_trl.optim import descend
 
 
-@dataclass(frozen=True)
-class MetaInfoGAILConfig:
-    """Of Meta-InfoGAIL.
+@dataclass(frozen=True, config=CHECKED)
+class MetaInfoGAILConfig(AdversarialConfig):
+    """Of Meta-InfoGAIL, beside what every adversarial method has.
 
     Attributes:
-        iterations: of the loop.
-        rollouts_per_context: K; the environment's batch holds M contexts of K rollouts each.
         discriminator_steps: Adam steps on D and psi per iteration.
         discriminator_lr, encoder_lr: of D and of psi.
-        replay_iterations: how many iterations of rollouts serve as negatives.
-        batch: of the discriminator.
         info_coeff: weight of log q(m | tau), in deviations of the batch, in the policy's reward.
-        info_contexts: contexts per Adam step on psi.
-        policy: of the policy's side.
+        info_contexts: contexts per Adam step on psi, at most M.
     """
 
-    iterations: int = 50
-    rollouts_per_context: int = 16
-    discriminator_steps: int = 10
-    discriminator_lr: float = 1e-3
-    encoder_lr: float = 1e-4
-    replay_iterations: int = 20
-    batch: BatchConfig = field(default_factory=BatchConfig)
-    info_coeff: float = 0.1
-    info_contexts: int = 10
-    policy: PolicyConfig = field(default_factory=PolicyConfig)
+    discriminator_steps: Count = 10
+    discriminator_lr: NonNegative = 1e-3
+    encoder_lr: NonNegative = 1e-4
+    info_coeff: NonNegative = 0.1
+    info_contexts: Count = 10
 
 
 class MetaInfoGAIL:
@@ -80,38 +68,27 @@ class MetaInfoGAIL:
             )
         self.model, self.config = model, config
         self.iterations = config.iterations
-        self.negatives = Negatives(config.replay_iterations)
-        self._collect = EpisodeCollector(env, model.policy, model.horizon)
-        self._batches = DiscriminatorBatches(
-            model, demonstrations, self.negatives, config.batch, encoder_gradient=False
-        )
+        self.sampler = AdaptiveSampler(model, env, demonstrations, config)
         self._discriminator_loss = DiscriminatorLoss(model.reward)
         self._discriminator_optimizer = Adam(model.reward.parameters(), lr=config.discriminator_lr)
         self._encoder_optimizer = Adam(model.encoder.parameters(), lr=config.encoder_lr)
-        self._improve_policy = PolicyImprovement(
-            model.policy, demonstrations, config.policy, config.rollouts_per_context
-        )
 
     @property
     def env_steps(self) -> int:
         """Environment steps so far."""
-        return self._collect.env_steps
+        return self.sampler.env_steps
 
     def iteration(self) -> dict[str, float]:
         """Collect; D classifies; psi explains the rollouts; omega follows both."""
-        self._improve_policy.anneal(self._collect.progress(self.iterations))
-        rollouts = self._collect()
-        self.negatives.add(rollouts)
-        metrics = {"return/true": float(rollouts["next", "reward"].sum(1).mean())}
+        rollouts, metrics = self.sampler.collect()
         metrics |= self._update_discriminator_and_encoder(rollouts)
-        metrics |= self._improve_policy(rollouts, self._reward(rollouts))
-        return metrics
+        return metrics | self.sampler.improve(rollouts, self._reward(rollouts))
 
     def _update_discriminator_and_encoder(self, rollouts: TensorDictBase) -> dict[str, float]:
         c = self.config
         contexts = rollouts.shape[0] // c.rollouts_per_context
         for _ in range(c.discriminator_steps):
-            losses = self._discriminator_loss(self._batches.sample(c.replay_iterations))
+            losses = self._discriminator_loss(self.sampler.discriminator_batch())
             descend(self._discriminator_optimizer, losses["loss_discriminator"])
             # One rollout of each of some contexts: psi needs no groups.
             rows = torch.randperm(contexts)[: c.info_contexts] * c.rollouts_per_context
@@ -142,6 +119,5 @@ class MetaInfoGAIL:
             "model": self.model,
             "discriminator_optimizer": self._discriminator_optimizer,
             "encoder_optimizer": self._encoder_optimizer,
-            "negatives": self.negatives,
-            "collector": self._collect,
+            **self.sampler.components(),
         }

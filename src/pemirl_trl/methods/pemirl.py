@@ -3,72 +3,86 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import replace
 from typing import Any
 
 import torch
+from pydantic.dataclasses import dataclass
 from tensordict import TensorDictBase
 from torch.optim import Adam
 from torchrl.envs import EnvBase
 
-from pemirl_trl.data import Negatives
-from pemirl_trl.functional import PolicyReward
-from pemirl_trl.methods.collection import EpisodeCollector
-from pemirl_trl.methods.discriminator_batches import BatchConfig, DiscriminatorBatches
-from pemirl_trl.methods.policy_improvement import (
-    PolicyConfig,
-    PolicyImprovement,
-    learned_policy_reward,
-)
-from pemirl_trl.methods.schedule import log_linear
+from pemirl_trl.configuration import CHECKED, Count, NonNegative
+from pemirl_trl.methods.adversarial import AdaptiveSampler, PolicyConfig, learned_policy_reward
+from pemirl_trl.methods.airl import AIRLConfig, set_learning_rate
+from pemirl_trl.methods.discriminator_batches import BatchConfig
 from pemirl_trl.modules import AIRLDiscriminator, PEMIRLModel
 from pemirl_trl.objectives import DiscriminatorLoss, InfoLoss
 from pemirl_trl.objectives.info import Summand
 from pemirl_trl.optim import descend
 
 
-@dataclass(frozen=True)
-class PEMIRLConfig:
-    """Of meta-training.
+@dataclass(frozen=True, config=CHECKED)
+class PEMIRLConfig(AIRLConfig):
+    """Of meta-training, beside what adversarial IRL has.
+
+    The defaults are the paper's method on Point-Maze, with the information term rescaled for
+    stability (``info_time_mean``, ``info_normalize``).
 
     Attributes:
-        iterations: of Algorithm 1's loop.
-        rollouts_per_context: K; the environment's batch holds M contexts of K rollouts each.
-        policy_reward: what the policy maximises: ``"state"`` r, ``"shaped"`` f or ``"score"`` f -
-            log pi.
-        reward_steps: Adam steps on psi, theta and phi per iteration.
-        reward_lr, encoder_lr: of theta and phi, and of psi.
-        final_reward_lr: to which ``reward_lr`` shrinks, log-linearly, while the policy is annealed
-            (``policy.anneal_from``); None holds it. An extension of the paper: next to a policy
-            that has become precise, classification says little about states farther off, and a
-            reward that keeps learning forgets them.
-        replay_iterations: how many iterations of rollouts serve as negatives.
-        batch: of the discriminator.
-        gradient_penalty_coeff: R1 penalty on r; an extension of the paper, 0 is off.
+        encoder_lr: of psi; 0 leaves it as it is.
         encoder_gradient: whether the discriminator's loss also trains psi (the authors' code).
         info_coeff: weight of L_info beside the classification loss, for theta.
-        info_contexts: contexts per Adam step from which L_info is estimated.
+        info_contexts: contexts per Adam step from which L_info is estimated, at most M.
         info_summand, info_time_mean, info_normalize: see :class:`InfoLoss`.
-        policy: of the policy's side.
     """
 
-    iterations: int = 100
-    rollouts_per_context: int = 8
-    policy_reward: PolicyReward = "state"
-    reward_steps: int = 10
-    reward_lr: float = 1e-3
-    final_reward_lr: float | None = None
-    encoder_lr: float = 1e-4
-    replay_iterations: int = 20
-    batch: BatchConfig = field(default_factory=BatchConfig)
-    gradient_penalty_coeff: float = 0.0
+    encoder_lr: NonNegative = 1e-4
     encoder_gradient: bool = False
-    info_coeff: float = 0.1
-    info_contexts: int = 10
+    info_coeff: NonNegative = 0.03
+    info_contexts: Count = 10
     info_summand: Summand = "shaped"
-    info_time_mean: bool = False
-    info_normalize: bool = False
-    policy: PolicyConfig = field(default_factory=PolicyConfig)
+    info_time_mean: bool = True
+    info_normalize: bool = True
+
+    @classmethod
+    def paper(cls) -> PEMIRLConfig:
+        """Algorithm 1: the defaults."""
+        return cls()
+
+    @classmethod
+    def robust(cls) -> PEMIRLConfig:
+        """An extension, for rewards that train new policies far from the demonstrations.
+
+        Half of the policy's trajectories in a discriminator batch are blurred by Gaussian noise, in
+        units of the observations' spread, and r carries an R1 penalty in the same units: blurred
+        negatives enclose the expert's support, the penalty keeps a global slope. For half of the
+        iterations the policy explores with a deviation of 1 while the reward takes shape; then the
+        reward's learning rate fades out, and the policy acts ever more precisely, with a growing
+        weight on imitation.
+        """
+        return cls(
+            final_reward_lr=1e-4,
+            gradient_penalty_coeff=0.1,
+            batch=BatchConfig(jitter_fraction=0.5, jitter_scale=2.0),
+            policy=PolicyConfig(final_scale=0.3, final_imitation_coeff=1.0),
+        )
+
+    @classmethod
+    def contrastive(cls) -> PEMIRLConfig:
+        """An extension, for bodies that have to move differently where the dynamics have changed.
+
+        On top of :meth:`robust`, half of the discriminator's negatives are demonstrations under the
+        context of another one, so that r asks which task is being done, and not for what all tasks
+        have in common; and log pi is taken relative to the policy's density at its mean: with many
+        action components and a deviation that is annealed, r would otherwise chase a constant that
+        grows by eight to ten nats, and tilt. There is no information term: these negatives already
+        tie r to the context (their optimum is the pointwise mutual information of transition and
+        context), and q stays what Meta-IL made of it. See docs/robust_rewards.md.
+        """
+        robust = cls.robust()
+        batch = replace(robust.batch, mismatched_fraction=0.5, relative_log_prob=True)
+        return replace(robust, info_coeff=0.0, encoder_lr=0.0, batch=batch)
 
 
 class PEMIRL:
@@ -103,14 +117,8 @@ class PEMIRL:
             )
         self.model, self.config = model, config
         self.iterations = config.iterations
-        self.negatives = Negatives(config.replay_iterations)
-        self._collect = EpisodeCollector(env, model.policy, model.horizon)
-        self._batches = DiscriminatorBatches(
-            model,
-            demonstrations,
-            self.negatives,
-            config.batch,
-            encoder_gradient=config.encoder_gradient,
+        self.sampler = AdaptiveSampler(
+            model, env, demonstrations, config, encoder_gradient=config.encoder_gradient
         )
         self._info_loss = info_loss or InfoLoss(
             model.encoder,
@@ -127,42 +135,31 @@ class PEMIRL:
         )
         self._encoder_optimizer = Adam(model.encoder.parameters(), lr=config.encoder_lr)
         self._reward_optimizer = Adam(model.reward.parameters(), lr=config.reward_lr)
-        self._improve_policy = PolicyImprovement(
-            model.policy, demonstrations, config.policy, config.rollouts_per_context
-        )
 
     @property
     def env_steps(self) -> int:
         """Environment steps so far."""
-        return self._collect.env_steps
+        return self.sampler.env_steps
 
     def iteration(self) -> dict[str, float]:
         """One pass of Algorithm 1's loop, in its order."""
-        self._anneal(self._collect.progress(self.iterations))
+        c = self.config
+        set_learning_rate(
+            self._reward_optimizer, self.sampler.annealed(c.reward_lr, c.final_reward_lr)
+        )
         # tau_E ~ D_E, m ~ q(m|tau_E), tau ~ pi(tau|m): the environment draws m at its reset.
-        rollouts = self._collect()
-        self.negatives.add(rollouts)
-        metrics = {"return/true": float(rollouts["next", "reward"].sum(1).mean())}
+        rollouts, metrics = self.sampler.collect()
         # psi to increase L_info; theta to increase L_info and to classify expert from policy.
         metrics |= self._update_encoder_and_reward(rollouts)
         # omega to increase the learned reward, within a trust region.
-        reward = learned_policy_reward(self.model.reward, rollouts, self.config.policy_reward)
-        metrics |= self._improve_policy(rollouts, reward)
-        return metrics
-
-    def _anneal(self, progress: float) -> None:
-        c = self.config
-        self._improve_policy.anneal(progress)
-        if c.final_reward_lr is not None:
-            begin = c.policy.anneal_from
-            lr = log_linear(c.reward_lr, c.final_reward_lr, progress, begin=begin)
-            self._reward_optimizer.param_groups[0]["lr"] = lr
+        reward = learned_policy_reward(self.model.reward, rollouts, c.policy_reward)
+        return metrics | self.sampler.improve(rollouts, reward)
 
     def _update_encoder_and_reward(self, rollouts: TensorDictBase) -> dict[str, float]:
         c = self.config
         for _ in range(c.reward_steps):
             info = self._info_loss(self._some_contexts(rollouts))
-            classification = self._discriminator_loss(self._batches.sample(c.replay_iterations))
+            classification = self._discriminator_loss(self.sampler.discriminator_batch())
             # Both losses are computed before either step: psi and theta move simultaneously.
             psi_loss = info["loss_info_encoder"]
             theta_loss = classification["loss_discriminator"]
@@ -190,6 +187,5 @@ class PEMIRL:
             "model": self.model,
             "encoder_optimizer": self._encoder_optimizer,
             "reward_optimizer": self._reward_optimizer,
-            "negatives": self.negatives,
-            "collector": self._collect,
+            **self.sampler.components(),
         }

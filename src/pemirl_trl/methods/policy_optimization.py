@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
+from pydantic.dataclasses import dataclass
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torchrl.data.tensor_specs import ContinuousBox
 from torchrl.envs import EnvBase
 
+from pemirl_trl.configuration import CHECKED, Count, NonNegative, Positive, Share
 from pemirl_trl.methods.best_trajectories import BestTrajectories
 from pemirl_trl.methods.collection import EpisodeCollector
 from pemirl_trl.methods.observation_statistics import ObservationStatistics
-from pemirl_trl.methods.policy_step import PolicyStep, TRPOConfig
-from pemirl_trl.methods.schedule import log_linear
+from pemirl_trl.methods.schedule import AnnealedScale
+from pemirl_trl.methods.trpo import TRPO, TRPOConfig
 from pemirl_trl.modules import ContextPolicy
 from pemirl_trl.transforms import LearnedReward
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=CHECKED)
 class PolicyOptimizationConfig:
     """Of a policy trained from scratch on a fixed reward.
 
@@ -29,8 +30,8 @@ class PolicyOptimizationConfig:
         iterations: policy steps.
         trpo: of one step.
         final_scale: if given, the deviation is not learned but forced, log-linearly from the
-            policy's initial one to this, over ``anneal_fraction`` of the iterations.
-        anneal_fraction: see ``final_scale``.
+            policy's initial one to this.
+        anneal_begin, anneal_finish: shares of the iterations between which it moves.
         imitate_best: weight, beside standardised advantages, of the squared error to the actions of
             the best trajectory that any task's policy has found for each task; needs a reward that
             is known as a function (see :class:`BestTrajectories`). 0 is off.
@@ -38,12 +39,26 @@ class PolicyOptimizationConfig:
             deviation of all that it has seen, after each step; otherwise it stays as it is.
     """
 
-    iterations: int = 100
+    iterations: Count = 100
     trpo: TRPOConfig = field(default_factory=TRPOConfig)
-    final_scale: float | None = None
-    anneal_fraction: float = 0.8
-    imitate_best: float = 0.0
+    final_scale: Positive | None = None
+    anneal_begin: Share = 0.0
+    anneal_finish: Share = 0.8
+    imitate_best: NonNegative = 0.0
     standardize_observations: bool = False
+
+    @classmethod
+    def adaptation(cls) -> PolicyOptimizationConfig:
+        """Algorithm 2's, as published for Point-Maze: explore widely, then precisely.
+
+        Advantages are standardised per task, so that none outweighs the others.
+        """
+        return cls(
+            iterations=72,
+            trpo=TRPOConfig(gamma=1.0, standardize="context"),
+            final_scale=0.1,
+            imitate_best=1.0,
+        )
 
 
 class PolicyOptimization:
@@ -81,10 +96,9 @@ class PolicyOptimization:
         self.config, self.policy = config, policy
         self.iterations = config.iterations
         self._collect = EpisodeCollector(env, policy, horizon)
-        self._initial_scale = float(policy.log_scale.detach().exp().mean())
-        if config.final_scale is not None:
-            policy.log_scale.requires_grad_(False)
-        self._step = PolicyStep(policy, config.trpo, rollouts_per_context)
+        stretch = (config.anneal_begin, config.anneal_finish)
+        self._scale = AnnealedScale(policy.log_scale, config.final_scale, *stretch)
+        self._update = TRPO(policy, config.trpo, rollouts_per_context)
         self._learned = None if reward is None else LearnedReward(reward)
         self._statistics: ObservationStatistics | None = None
         if config.standardize_observations:
@@ -106,7 +120,7 @@ class PolicyOptimization:
 
     def iteration(self) -> dict[str, float]:
         """Collect, score, step."""
-        self._force_scale()
+        self._scale.move(self._collect.progress(self.iterations))
         rollouts = self._collect()
         metrics = {"return/true": float(rollouts["next", "reward"].sum(1).mean())}
         if self._learned is not None:
@@ -116,18 +130,10 @@ class PolicyOptimization:
         if self._best is not None:
             metrics |= self._best.update(rollouts)
             imitation = self._best.loss(self.policy, self.config.imitate_best)
-        metrics |= self._step(rollouts, imitation)
+        metrics |= self._update(rollouts, imitation)
         if self._statistics is not None:  # after the step, whose old densities are of the old map
             self._statistics.update(rollouts["observation"])
         return metrics
-
-    def _force_scale(self) -> None:
-        if self.config.final_scale is None:
-            return
-        progress = self._collect.progress(self.iterations)
-        finish = self.config.anneal_fraction
-        scale = log_linear(self._initial_scale, self.config.final_scale, progress, finish=finish)
-        self.policy.log_scale.data.fill_(math.log(scale))
 
     def components(self) -> dict[str, Any]:
         """What a checkpoint holds."""

@@ -1,6 +1,10 @@
-"""How a positive number moves over a training."""
+"""How a positive number moves over a training: the one schedule for all that is annealed."""
 
 from __future__ import annotations
+
+import math
+
+from torch import Tensor
 
 
 def log_linear(
@@ -23,3 +27,29 @@ def log_linear(
         )
     share = min(1.0, max(0.0, (progress - begin) / (finish - begin)))
     return float(start * (end / start) ** share)
+
+
+class AnnealedScale:
+    """A policy's deviation, forced along :func:`log_linear` instead of being learned.
+
+    Args:
+        log_scale: the policy's parameter; it is taken out of the learner's hands.
+        final_scale: where the deviation ends; None leaves the parameter alone.
+        begin, finish: shares of the training between which it moves.
+    """
+
+    def __init__(
+        self, log_scale: Tensor, final_scale: float | None, begin: float, finish: float
+    ) -> None:
+        self.log_scale, self.final_scale = log_scale, final_scale
+        self.begin, self.finish = begin, finish
+        self._initial_scale = float(log_scale.detach().exp().mean())
+        if final_scale is not None:
+            log_scale.requires_grad_(False)
+
+    def move(self, progress: float) -> None:
+        """Set the deviation for ``progress``, the share of the training that is done."""
+        if self.final_scale is not None:
+            stretch = {"begin": self.begin, "finish": self.finish}
+            scale = log_linear(self._initial_scale, self.final_scale, progress, **stretch)
+            self.log_scale.data.fill_(math.log(scale))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
+from pydantic.dataclasses import dataclass
 from torch import nn
 
+from pemirl_trl.configuration import CHECKED, Count, Index, Positive, Share
 from pemirl_trl.modules.actors import ContextPolicy
 from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder, NoContext
 from pemirl_trl.modules.discriminator import GAILDiscriminator
@@ -19,7 +20,7 @@ RewardKind = Literal["shaped", "gail"]
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=CHECKED)
 class ModelConfig:
     """Sizes of the paper's networks (Yu et al., 2019, Appendix E.1), all with ReLU.
 
@@ -35,15 +36,15 @@ class ModelConfig:
             :class:`ShapedReward`; GAIL's D has no such choice.
     """
 
-    context_dim: int = 3
+    context_dim: Index = 3
     encoder: EncoderKind = "flat"
     reward: RewardKind = "shaped"
-    encoder_hidden: Sequence[int] = (128, 128)
-    policy_hidden: Sequence[int] = (64, 64)
-    reward_hidden: Sequence[int] = (32, 32)
-    reward_gamma: float = 0.99
-    policy_scale: float = 1.0
-    reward_features: Sequence[int] | None = None
+    encoder_hidden: Sequence[Count] = (128, 128)
+    policy_hidden: Sequence[Count] = (64, 64)
+    reward_hidden: Sequence[Count] = (32, 32)
+    reward_gamma: Share = 0.99
+    policy_scale: Positive = 1.0
+    reward_features: Sequence[Index] | None = None
 
 
 class PEMIRLModel(nn.Module):
@@ -77,10 +78,6 @@ class PEMIRLModel(nn.Module):
 
     def _new_encoder(self) -> ContextEncoder | MaskedContextEncoder | NoContext:
         c = self.config
-        if c.encoder not in get_args(EncoderKind):
-            raise ValueError(
-                f"unknown encoder {c.encoder!r}; choose one of {get_args(EncoderKind)}"
-            )
         if c.context_dim == 0:
             return NoContext()
         sizes = (self.observation_dim, self.action_dim, c.context_dim)
@@ -103,14 +100,12 @@ class PEMIRLModel(nn.Module):
                 standardize=self.standardize,
                 reward_features=c.reward_features,
             )
-        if c.reward == "gail":
-            return GAILDiscriminator(
-                self.observation_dim,
-                self.action_dim,
-                hidden=c.reward_hidden,
-                standardize=self.standardize,
-            )
-        raise ValueError(f"unknown reward {c.reward!r}; choose one of {get_args(RewardKind)}")
+        return GAILDiscriminator(
+            self.observation_dim,
+            self.action_dim,
+            hidden=c.reward_hidden,
+            standardize=self.standardize,
+        )
 
     def new_policy(
         self, scale: float | None = None, *, learn_scale: bool = True, activation: str = "relu"

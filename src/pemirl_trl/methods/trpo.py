@@ -1,21 +1,22 @@
-"""One trust-region step on a batch of rollouts: what every method does to its policy."""
+"""One trust-region update on a batch of rollouts: what every method does to its policy."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal
 
 import torch
+from pydantic.dataclasses import dataclass
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from pemirl_trl.configuration import CHECKED, Count, NonNegative, Positive, Share
 from pemirl_trl.modules import ContextPolicy
 from pemirl_trl.objectives import FiniteHorizonAdvantage, TRPOLoss
 from pemirl_trl.optim import TrustRegionOptimizer
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=CHECKED)
 class TRPOConfig:
     """Of one policy update.
 
@@ -29,18 +30,20 @@ class TRPOConfig:
             :class:`pemirl_trl.FiniteHorizonAdvantage`.
     """
 
-    gamma: float = 0.99
-    lmbda: float = 1.0
-    max_kl: float = 0.02
-    cg_iterations: int = 10
-    damping: float = 1e-5
-    fisher_rows: int = 4000
-    entropy_coeff: float = 0.0
+    gamma: Share = 0.99
+    lmbda: Share = 1.0
+    max_kl: Positive = 0.02
+    cg_iterations: Count = 10
+    damping: NonNegative = 1e-5
+    fisher_rows: Count = 4000
+    entropy_coeff: NonNegative = 0.0
     standardize: Literal["batch", "context"] = "batch"
 
 
-class PolicyStep:
-    """Advantages with a linear baseline per context, then one trust-region step.
+class TRPO:
+    """Advantages with a linear baseline per context, then one trust-region update.
+
+    (Schulman et al., 2015, "Trust Region Policy Optimization", arXiv:1502.05477.)
 
     Args:
         policy: moved in place.

@@ -7,13 +7,13 @@ import pytest
 import torch
 from torch.distributions import Normal, kl_divergence
 
-from pemirl_trl.methods import EpisodeCollector, PolicyStep, TRPOConfig
+from pemirl_trl.methods import TRPO, EpisodeCollector, TRPOConfig
 
 
 def collected(problem, config=None, contexts=4):
     model = problem.model()
     rollouts = EpisodeCollector(problem.env(model, contexts, 4), model.policy, problem.horizon)()
-    return model, rollouts, PolicyStep(model.policy, config or TRPOConfig(), 4)
+    return model, rollouts, TRPO(model.policy, config or TRPOConfig(), 4)
 
 
 def gaussian(policy, rollouts):

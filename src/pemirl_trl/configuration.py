@@ -1,0 +1,33 @@
+"""How configurations check their values: where they are given, by name, with what is legal.
+
+A configuration is a frozen dataclass of :mod:`pydantic.dataclasses` with ``config=CHECKED``:
+another type, a number out of its range, an unknown choice or an unknown name is a ``ValueError``.
+
+>>> from pemirl_trl.methods import TRPOConfig
+>>> TRPOConfig(max_kl=-1.0)  # doctest: +ELLIPSIS
+Traceback (most recent call last):
+    ...
+pydantic_core._pydantic_core.ValidationError: 1 validation error for TRPOConfig
+max_kl
+  Input should be greater than 0 ...
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import ConfigDict, Field
+
+CHECKED = ConfigDict(extra="forbid", allow_inf_nan=False)
+"""Of every configuration: no unknown names, and numbers that are finite."""
+
+Count = Annotated[int, Field(ge=1, strict=True)]
+"""A whole number of at least 1."""
+Index = Annotated[int, Field(ge=0, strict=True)]
+"""A whole number of at least 0."""
+Positive = Annotated[float, Field(gt=0, strict=True)]
+NonNegative = Annotated[float, Field(ge=0, strict=True)]
+Share = Annotated[float, Field(ge=0, le=1, strict=True)]
+"""A number from 0 to 1."""
+Decay = Annotated[float, Field(gt=0, lt=1, strict=True)]
+"""A number between 0 and 1, neither of them included."""

@@ -1,0 +1,45 @@
+"""A policy trained on the learned reward of one demonstration per task (Algorithm 2)."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from typing import Literal
+
+from pydantic.dataclasses import dataclass
+
+from pemirl_trl.configuration import CHECKED, Count, Positive
+from pemirl_trl.methods.policy_optimization import PolicyOptimizationConfig
+from pemirl_trl.modules import ContextPolicy, PEMIRLModel
+
+
+@dataclass(frozen=True, config=CHECKED)
+class AdaptationConfig:
+    """Of Algorithm 2; the defaults are those of Point-Maze.
+
+    Attributes:
+        rollouts: episodes per iteration, shared evenly by the demonstrated tasks.
+        initial_policy: ``"fresh"`` (the paper) or ``"trained"``: the one that meta-training ended
+            with.
+        policy_activation: of a fresh one.
+        policy_scale: the deviation at the start.
+        learn_policy_scale: whether it is learned; ``optimization.final_scale`` forces it.
+        optimization: of the policy.
+    """
+
+    rollouts: Count = 180
+    initial_policy: Literal["fresh", "trained"] = "fresh"
+    policy_activation: Literal["relu", "tanh"] = "tanh"
+    policy_scale: Positive = 3.0
+    learn_policy_scale: bool = False
+    optimization: PolicyOptimizationConfig = field(
+        default_factory=PolicyOptimizationConfig.adaptation
+    )
+
+
+def initial_policy(model: PEMIRLModel, config: AdaptationConfig) -> tuple[ContextPolicy, str]:
+    """The policy that adaptation starts from, and the activation of its hidden layers."""
+    scale, learned = config.policy_scale, config.learn_policy_scale
+    if config.initial_policy == "trained":
+        return model.trained_policy(scale, learn_scale=learned), "relu"
+    activation = config.policy_activation
+    return model.new_policy(scale, learn_scale=learned, activation=activation), activation
