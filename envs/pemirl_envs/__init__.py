@@ -21,9 +21,20 @@ except (AttributeError, ImportError, RuntimeError) as error:
 from dm_control.rl.control import Environment
 
 from pemirl_envs.control import load as _load_task
-from pemirl_envs.gym import register_tasks
-from pemirl_envs.simulation import SimulationError
-from pemirl_envs.tasks import TASKS, Layout, Task, get_task
+from pemirl_envs.gym import check_ids, register_tasks
+from pemirl_envs.simulation import Fields, SimulationError, State
+from pemirl_envs.tasks import (
+    TASKS,
+    Component,
+    Controller,
+    Layout,
+    Outcome,
+    Parameters,
+    Task,
+    Variants,
+    get_task,
+    register,
+)
 from pemirl_envs.torchrl import TaskEnv
 
 
@@ -92,17 +103,46 @@ def layout(name: str) -> Layout:
     return get_task(name).layout()
 
 
-register_tasks()
+def register_domain(domain: str, variants: Variants) -> None:
+    """Makes tasks from outside of this package known to every face, in this process.
+
+    ``register_domain("my_domain", {"normal": MyTask})`` makes ``"my_domain/normal"`` a name for
+    ``make`` and ``get_task``, ``("my_domain", "normal")`` for ``load``, and
+    ``"pemirl_envs/MyDomainNormal-v0"`` an id of Gymnasium.
+
+    Args:
+        domain: its name, ``lower_case``.
+        variants: by name, functions without arguments (such as a class) that make a :class:`Task`.
+
+    Raises:
+        ValueError: a name is malformed or taken, or there are no variants.
+        TypeError: a variant is not a function that makes a task.
+    """
+    names = [f"{domain}/{variant}" for variant in variants]
+    check_ids(names)
+    register(domain, variants)
+    register_tasks(names)
+
+
+register_tasks(TASKS)
 
 __all__ = [
     "TASKS",
+    "Component",
+    "Controller",
+    "Fields",
     "Layout",
+    "Outcome",
+    "Parameters",
     "SimulationError",
+    "State",
     "Task",
     "TaskEnv",
+    "Variants",
     "get_task",
     "layout",
     "load",
     "make",
+    "register_domain",
     "task_parameters",
 ]

@@ -16,7 +16,7 @@ from dm_control.rl import control
 from numpy.typing import ArrayLike
 from torch import Generator, Tensor
 
-from pemirl_envs.episodes import check_action, draw_episode
+from pemirl_envs.episodes import check_action, draw_episode, observe
 from pemirl_envs.simulation import SimulationError, State
 from pemirl_envs.tasks import Task
 
@@ -134,8 +134,8 @@ class ControlTask(control.Task):
         _write(physics, state)
 
     def get_observation(self, physics: Physics) -> OrderedDict[str, np.ndarray]:
-        """The observation, float32 ``[D]``, under the key ``observation``."""
-        observation = self._task.observe(lambda name: _field(physics, name))
+        """The observation, float32 ``[S]``, under the key ``observation``."""
+        observation = observe(self._task, lambda name: _field(physics, name))
         return OrderedDict(observation=observation[0].numpy())
 
     def get_reward(self, physics: Physics) -> float:

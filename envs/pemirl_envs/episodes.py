@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Generator, Tensor
 
-from pemirl_envs.simulation import MujocoBatch, State
+from pemirl_envs.simulation import Fields, MujocoBatch, State
 from pemirl_envs.tasks import Parameters, Task
 
 
@@ -21,6 +21,22 @@ def draw_episode(
     if given is not None:
         parameters = {name: given[name].to(old) for name, old in parameters.items()}
     return parameters, task.initial_state(parameters, generator)
+
+
+def observe(task: Task, fields: Fields) -> Tensor:
+    """What the agent sees, float32 ``[N, S]``.
+
+    Raises:
+        ValueError: the task's ``observe`` and its ``observation_components`` disagree on S.
+    """
+    observation = task.observe(fields)
+    if observation.shape[-1] != task.observation_size:
+        sizes = {part.name: part.size for part in task.observation_components}
+        raise ValueError(
+            f"{type(task).__name__}.observe gave {observation.shape[-1]} numbers; its "
+            f"observation_components name {task.observation_size}: {sizes}"
+        )
+    return observation
 
 
 def check_action(action: Tensor, expected: tuple[int, ...]) -> Tensor:
@@ -84,8 +100,8 @@ class Episodes:
             self.generator.manual_seed(seed)
 
     def observe(self) -> Tensor:
-        """The observations, float32 ``[N, D]``; new memory."""
-        return self.task.observe(self.simulation.field)
+        """The observations, float32 ``[N, S]``; new memory."""
+        return observe(self.task, self.simulation.field)
 
     def truncated(self) -> Tensor:
         """Which episodes have reached the horizon, bool ``[N]``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import gymnasium
@@ -26,15 +27,31 @@ def gym_id(name: str) -> str:
     return f"pemirl_envs/{''.join(part.title() for part in name.replace('/', '_').split('_'))}-v0"
 
 
-def register_tasks() -> None:
-    """Registers every task with gymnasium, unless it is registered."""
-    for name in TASKS:
+def register_tasks(names: Iterable[str]) -> None:
+    """Registers tasks with gymnasium, by their names ``"domain/variant"``, unless they are."""
+    for name in names:
         if gym_id(name) not in gymnasium.registry:
             gymnasium.register(
                 gym_id(name),
                 entry_point=f"{__name__}:GymEnv",
                 vector_entry_point=f"{__name__}:GymVectorEnv",
                 kwargs={"name": name},
+            )
+
+
+def check_ids(names: Iterable[str]) -> None:
+    """Checks that new tasks have gymnasium ids of their own, before any is registered.
+
+    Raises:
+        ValueError: another task has the id: ``a_b/c`` and ``a/b_c`` would share theirs.
+    """
+    taken = {gym_id(name): name for name in TASKS}
+    for name in names:
+        other = taken.setdefault(gym_id(name), name)
+        if other != name:
+            raise ValueError(
+                f"the gymnasium id {gym_id(name)} of {name!r} is taken by {other!r}; choose "
+                "another name for the domain or its variant"
             )
 
 

@@ -21,7 +21,7 @@ class TaskEnv(EnvBase):
     ==================== ============== ================================================
     key                  shape          meaning
     ==================== ============== ================================================
-    observation          [N, D] float32 holds nothing of the task parameters
+    observation          [N, S] float32 holds nothing of the task parameters
     ("task", name)       [N, ...]       ground-truth task parameters, for metrics alone
     action               [N, A] float32 clipped to its bounds; the data keep what was given
     reward               [N, 1] float32 r(s_t, a_t), for the clipped action

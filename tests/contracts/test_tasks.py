@@ -188,6 +188,68 @@ def test_episodes_have_the_horizons_length(name):
 
 
 @every_task
+def test_a_task_names_its_own_quantities(name):
+    task = pemirl_envs.get_task(name)
+    names = [part.name for part in task.observation_components]
+    assert len(set(names)) == len(names)
+    assert all(part.size >= 1 and part.unit for part in task.observation_components)
+    assert task.components(names) == list(range(task.observation_size))
+    assert task.task_space_indices() == task.components(task.task_space) != []
+    assert task.task_key in task.parameter_bounds
+
+
+@every_task
+def test_outcomes_are_one_number_for_each_episode(name):
+    task = pemirl_envs.get_task(name)
+    data = pemirl_envs.make(name, 5, seed=SEED).rollout(9, break_when_any_done=False)
+    parameters = dict(data["task"][:, 0].items())
+    for outcome in task.outcomes.values():
+        value = outcome(data["observation"], parameters)
+        assert value.shape == (5,)
+        assert len(value.unique()) == 5
+
+
+@every_task
+def test_the_reward_of_what_is_observed_is_the_true_one(name):
+    env = pemirl_envs.make(name, 5, seed=SEED)
+    data = env.rollout(40, break_when_any_done=False)
+    beyond = data["action"] * 3  # clipped, as the environment does
+    for action in (data["action"], beyond.clamp(*env.task.action_bounds)):
+        got = env.task.state_reward(data["observation"], action, dict(data["task"].items()))
+        assert got.shape == (5, 40)
+        assert got.dtype == torch.float32
+    clipped = env.task.state_reward(data["observation"], beyond, dict(data["task"].items()))
+    assert torch.equal(clipped, got)
+    got = env.task.state_reward(data["observation"], data["action"], dict(data["task"].items()))
+    torch.testing.assert_close(got, data["next", "reward"][..., 0], rtol=0, atol=1e-6)
+    assert got.unique().numel() > 100
+
+
+@every_task
+def test_a_planar_task_and_no_other_has_a_layout(name):
+    task = pemirl_envs.get_task(name)
+    if task.planar:
+        assert task.layout().walls
+        assert task.observation_size == 2
+    else:
+        with pytest.raises(ValueError, match="is not a planar task, so it has no layout"):
+            task.layout()
+
+
+@every_task
+def test_a_scripted_controller_acts_within_the_bounds(name):
+    env = pemirl_envs.make(name, 5, seed=SEED)
+    controller = env.task.scripted_controller()
+    if controller is None:
+        return
+    data = env.reset()
+    action = controller(data["observation"], dict(data["task"].items()))
+    low, high = env.task.action_bounds
+    assert action.shape == (5, len(low))
+    assert ((action >= low) & (action <= high)).all()
+
+
+@every_task
 def test_every_split_gives_legal_tasks(name):
     task = pemirl_envs.get_task(name)
     for split in task.splits:

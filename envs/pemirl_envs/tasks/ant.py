@@ -11,14 +11,17 @@ from __future__ import annotations
 import functools
 import pathlib
 from collections.abc import Callable
+from types import MappingProxyType
 from typing import Literal
 
 import mujoco
 import torch
 from torch import Generator, Tensor
+from torch.nn.functional import pad
 
 from pemirl_envs.simulation import Fields, State
 from pemirl_envs.tasks.base import Parameters, Task
+from pemirl_envs.tasks.quantities import Component, component_slice
 
 _XML = pathlib.Path(__file__).with_suffix(".xml")
 
@@ -31,6 +34,24 @@ _POSITION_OFFSET = 0.1  # m, rad; half-width of the uniform initial offset of ea
 _VELOCITY_STD = 0.1  # m/s, rad/s
 
 _FORWARD, _BACKWARD = 1.0, -1.0
+_POSITIONS, _VELOCITIES = 13, 14  # how many of each an observation holds
+
+
+_COMPONENTS = (
+    Component("torso_height", "m"),
+    Component("torso_orientation", "1", 4),  # a quaternion (w, x, y, z)
+    Component("joint_angles", "rad", 8),
+    Component("torso_velocity_xy", "m/s", 2),  # world frame
+    Component("torso_velocity_z", "m/s"),
+    Component("torso_angular_velocity", "rad/s", 3),  # torso frame
+    Component("joint_velocities", "rad/s", 8),
+)
+
+
+def speed_along_direction(observation: Tensor, parameters: Parameters) -> Tensor:
+    """The torso's mean speed along the direction, m/s, of observations ``[N, T, 27]``; ``[N]``."""
+    x = component_slice(_COMPONENTS, "torso_velocity_xy").start
+    return observation[..., x].mean(-1) * parameters["direction"][:, 0]
 
 
 class Ant(Task):
@@ -48,7 +69,9 @@ class Ant(Task):
 
     horizon = 500
     n_sub_steps = 5
-    observation_size = 27
+    observation_components = _COMPONENTS
+    task_space = ("torso_velocity_xy",)
+    outcomes = MappingProxyType({"speed_m_per_s": speed_along_direction})
     default_split = "train"
     splits = ("train", "validation", "test")
 
@@ -133,6 +156,11 @@ class Ant(Task):
         progress = parameters["direction"][:, 0] * qvel[:, 0]
         control_cost = _CONTROL_COST * action.double().square().sum(-1)
         return (progress - control_cost - _UPSIDE_DOWN_COST * (upright(qpos) < 0)).float()
+
+    def observed_fields(self, observation: Tensor) -> State:
+        """Positions [N, 15] and velocities [N, 14], float64; of x and y, which are not seen, 0."""
+        qpos, qvel = observation.double().split([_POSITIONS, _VELOCITIES], -1)
+        return {"qpos": pad(qpos, (2, 0)), "qvel": qvel}
 
 
 def upright(qpos: Tensor) -> Tensor:

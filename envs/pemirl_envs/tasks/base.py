@@ -5,7 +5,8 @@ from __future__ import annotations
 import abc
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import ClassVar
 
 import mujoco
@@ -13,9 +14,13 @@ import torch
 from torch import Generator, Tensor
 
 from pemirl_envs.simulation import Fields, State
-
-Parameters = Mapping[str, Tensor]
-"""What distinguishes one task of a family from another (a goal, a direction), each ``[N, ...]``."""
+from pemirl_envs.tasks.quantities import (
+    Component,
+    Controller,
+    Outcome,
+    Parameters,
+    component_slice,
+)
 
 Point = tuple[float, float]
 
@@ -49,7 +54,10 @@ class Task(abc.ABC):
         horizon: control steps in an episode. Every episode has this length.
         n_sub_steps: physics steps in one control step.
         stage: the forward stage that fills the derived fields which the task reads.
-        observation_size: D, the length of an observation.
+        observation_components: the parts of an observation, in order, by name and with units.
+        task_space: the names of those that the tasks are about (Gymnasium: ``achieved_goal``).
+        outcomes: what a person would look at beside the return, by a name that ends in its unit.
+        planar: whether the observation is a position in the plane, of which ``layout`` is the map.
         parameter_bounds: the legal box of each parameter, by name: float32 ``(low, high)``.
         splits: the names of the sets of tasks to draw from.
         default_split: the one that the faces draw from unless told: the training set.
@@ -58,7 +66,10 @@ class Task(abc.ABC):
     horizon: ClassVar[int]
     n_sub_steps: ClassVar[int]
     stage: ClassVar[mujoco.mjtStage] = mujoco.mjtStage.mjSTAGE_NONE
-    observation_size: ClassVar[int]
+    observation_components: ClassVar[tuple[Component, ...]]
+    task_space: ClassVar[tuple[str, ...]]
+    outcomes: ClassVar[Mapping[str, Outcome]] = MappingProxyType({})
+    planar: ClassVar[bool] = False
     parameter_bounds: Mapping[str, tuple[Tensor, Tensor]]
     splits: tuple[str, ...]
     default_split: ClassVar[str] = "train_100"
@@ -73,6 +84,49 @@ class Task(abc.ABC):
         """The control range, float32 ``(low [A], high [A])``; actions are clipped to it."""
         low, high = torch.from_numpy(self.model.actuator_ctrlrange.copy()).float().unbind(-1)
         return low, high
+
+    @property
+    def observation_size(self) -> int:
+        """S, the length of an observation."""
+        return sum(component.size for component in self.observation_components)
+
+    @classmethod
+    def component_slice(cls, name: str) -> slice:
+        """Where the component of this name stands in an observation.
+
+        Raises:
+            ValueError: there is none; lists those that there are.
+        """
+        return component_slice(cls.observation_components, name)
+
+    @classmethod
+    def components(cls, names: Iterable[str]) -> list[int]:
+        """The indices of all numbers of these components, in the order of the names.
+
+        Raises:
+            ValueError: there is no component of such a name; lists those that there are.
+        """
+        slices = [cls.component_slice(name) for name in names]
+        return [index for part in slices for index in range(part.start, part.stop)]
+
+    @classmethod
+    def task_space_indices(cls) -> list[int]:
+        """The indices of the numbers of an observation that the tasks are about."""
+        return cls.components(cls.task_space)
+
+    @property
+    def task_key(self) -> str:
+        """The parameter that tells tasks apart, which an expert reads: the only one.
+
+        Raises:
+            ValueError: there are several, and the task does not say which.
+        """
+        if len(self.parameter_bounds) != 1:
+            raise ValueError(
+                f"{type(self).__name__} has the parameters {sorted(self.parameter_bounds)}; "
+                "expected one, or a class attribute task_key that names the one an expert reads"
+            )
+        return next(iter(self.parameter_bounds))
 
     @property
     def control_timestep(self) -> float:
@@ -105,7 +159,7 @@ class Task(abc.ABC):
 
     @abc.abstractmethod
     def observe(self, fields: Fields) -> Tensor:
-        """What the agent sees, float32 ``[N, D]``. Holds nothing of the parameters."""
+        """What the agent sees, float32 ``[N, S]``. Holds nothing of the parameters."""
 
     @abc.abstractmethod
     def reward(self, fields: Fields, action: Tensor, parameters: Parameters) -> Tensor:
@@ -118,6 +172,44 @@ class Task(abc.ABC):
     def disturb(self, fields: Fields, generator: Generator) -> State:
         """Random changes of the state after each control step; none by default."""
         return {}
+
+    def observed_fields(self, observation: Tensor) -> State:
+        """What ``reward`` reads of the engine's fields, float64, from observations ``[N, S]``.
+
+        Raises:
+            ValueError: the task cannot tell them from an observation.
+        """
+        raise ValueError(
+            f"{type(self).__name__} defines no observed_fields: its reward cannot be computed from "
+            "an observation"
+        )
+
+    def state_reward(self, observation: Tensor, action: Tensor, parameters: Parameters) -> Tensor:
+        """The true reward of any transition, possible or not, up to an observation's rounding.
+
+        Args:
+            observation: ``[..., S]``.
+            action: ``[..., A]``, clipped to its bounds.
+            parameters: each ``[..., *P]``, where ``*P`` is the shape of its bounds.
+
+        Returns:
+            float32 ``[...]``.
+
+        Raises:
+            ValueError: the reward depends on more than what is observed.
+        """
+        low, high = self.action_bounds
+        fields = self.observed_fields(observation.flatten(0, -2))
+        control = action.flatten(0, -2).clamp(low, high)
+        rows = {
+            name: parameters[name].reshape(-1, *bound.shape)
+            for name, (bound, _) in self.parameter_bounds.items()
+        }
+        return self.reward(fields.__getitem__, control, rows).view(observation.shape[:-1])
+
+    def scripted_controller(self) -> Controller | None:
+        """A controller by hand, which learned nothing; None where the task has none."""
+        return None
 
     def layout(self) -> Layout:
         """The plan of a planar task.

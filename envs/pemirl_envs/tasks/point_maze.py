@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import pathlib
 from collections.abc import Callable
+from types import MappingProxyType
 from typing import Any, Literal
 
 import mujoco
@@ -21,6 +22,7 @@ from torch import Generator, Tensor
 
 from pemirl_envs.simulation import Fields, State
 from pemirl_envs.tasks.base import Layout, Parameters, Task
+from pemirl_envs.tasks.quantities import Component, final_distance_to_goal
 
 _XML = pathlib.Path(__file__).with_suffix(".xml")
 
@@ -66,7 +68,12 @@ class PointMaze(Task):
 
     horizon = 100
     n_sub_steps = 5
-    observation_size = 2
+    observation_components = (Component("position", "m", 2),)
+    task_space = ("position",)
+    outcomes = MappingProxyType(
+        {"final_distance_m": final_distance_to_goal(observation_components, "position")}
+    )
+    planar = True
     splits = ("train", "train_100", "validation", "test", "continuous", "uniform")
 
     def __init__(
@@ -154,6 +161,10 @@ class PointMaze(Task):
         offset = self._position(fields) - parameters["goal"]
         distance = offset.square().sum(-1).sqrt()
         return (-distance - _CONTROL_COST * action.double().square().sum(-1)).float()
+
+    def observed_fields(self, observation: Tensor) -> State:
+        """The position of the slides, measured from the start, float64 ``[N, 2]``."""
+        return {"qpos": observation.double() - self._start}
 
     def disturb(self, fields: Fields, generator: Generator) -> State:
         """Gaussian transition noise on the position (the stochastic variants alone)."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import functools
 import pathlib
 from collections.abc import Callable
+from types import MappingProxyType
 
 import mujoco
 import torch
@@ -21,6 +22,8 @@ from torch.nn.functional import pad
 from pemirl_envs.simulation import Fields, State
 from pemirl_envs.tasks.base import Parameters, Task
 from pemirl_envs.tasks.goals import GoalBox
+from pemirl_envs.tasks.quantities import Component, Controller, final_distance_to_goal
+from pemirl_envs.tasks.sawyer_pusher_controller import push_around_wall, push_to_goal
 
 _XML = pathlib.Path(__file__).with_suffix(".xml")
 _ARM_JOINTS = 7
@@ -53,7 +56,16 @@ class SawyerPusher(Task):
     horizon = 200
     n_sub_steps = 5
     stage = mujoco.mjtStage.mjSTAGE_POS  # the hand's position follows from the joint angles
-    observation_size = 9
+    observation_components = (
+        Component("hand", "m", 3),
+        Component("mug_xy", "m", 2),
+        Component("mug_z", "m"),
+        Component("mug_from_hand", "m", 3),
+    )
+    task_space = ("mug_xy",)  # where the mug stands, not how the hand holds it
+    outcomes = MappingProxyType(
+        {"final_distance_m": final_distance_to_goal(observation_components, "mug_xy")}
+    )
     splits = GoalBox.splits
 
     def __init__(self, wall: float | None = None) -> None:
@@ -131,6 +143,16 @@ class SawyerPusher(Task):
         to_mug = vector_norm(_hand(fields) - mug, dim=-1)
         to_goal = vector_norm(mug[:, :2] - parameters["goal"], dim=-1)
         return (-to_mug - to_goal).float()
+
+    def observed_fields(self, observation: Tensor) -> State:
+        """Hand, float64 ``[N, 1, 3]``, and arm and mug, float64 ``[N, 10]``; the arm's are zero."""
+        hand = observation[:, self.component_slice("hand")].double()
+        mug = observation[:, self.components(["mug_xy", "mug_z"])].double()
+        return {"site_xpos": hand[:, None], "qpos": pad(mug, (_ARM_JOINTS, 0))}
+
+    def scripted_controller(self) -> Controller:
+        """Gets behind the mug and pushes it to its goal, around the wall where there is one."""
+        return push_to_goal if self._wall is None else push_around_wall(self._wall, _WALL_Y)
 
 
 def _hand(fields: Fields) -> Tensor:

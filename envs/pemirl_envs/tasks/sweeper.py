@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import pathlib
 from collections.abc import Callable
+from types import MappingProxyType
 
 import mujoco
 import torch
@@ -20,6 +21,7 @@ from torch.nn.functional import pad
 from pemirl_envs.simulation import Fields, State
 from pemirl_envs.tasks.base import Parameters, Task
 from pemirl_envs.tasks.goals import GoalBox
+from pemirl_envs.tasks.quantities import Component, final_distance_to_goal
 
 _XML = pathlib.Path(__file__).with_suffix(".xml")
 _ARM_JOINTS = 7
@@ -45,7 +47,16 @@ class Sweeper(Task):
     horizon = 200
     n_sub_steps = 5
     stage = mujoco.mjtStage.mjSTAGE_POS  # the blade's position follows from the joint angles
-    observation_size = 2 * _ARM_JOINTS + 6
+    observation_components = (
+        Component("joint_angles", "rad", _ARM_JOINTS),
+        Component("joint_velocities", "rad/s", _ARM_JOINTS),
+        Component("blade", "m", 3),
+        Component("ball", "m", 3),
+    )
+    task_space = ("blade", "ball")
+    outcomes = MappingProxyType(
+        {"final_distance_m": final_distance_to_goal(observation_components, "ball")}
+    )
     splits = GoalBox.splits
 
     def __init__(self, blade: float = 0.3, damping: float = 1.0) -> None:
@@ -98,6 +109,11 @@ class Sweeper(Task):
         to_ball = vector_norm(blade - ball, dim=-1)
         to_goal = vector_norm(ball[:, :2] - parameters["goal"], dim=-1)
         return (-to_ball - to_goal).float()
+
+    def observed_fields(self, observation: Tensor) -> State:
+        """The positions of blade and ball, float64 ``[N, 2, 3]``."""
+        sites = observation[:, self.task_space_indices()]
+        return {"site_xpos": sites.double().view(-1, 2, 3)}
 
 
 def _blade_and_ball(fields: Fields) -> Tensor:

@@ -259,3 +259,27 @@ def test_unknown_splits_are_refused(split):
         pemirl_envs.task_parameters("ant/normal", split)
     with pytest.raises(ValueError, match=f"unknown split '{split}'; expected one of"):
         Ant().sample_parameters(1, split, torch.Generator())
+
+
+def test_components_are_where_the_state_has_them():
+    env = pemirl_envs.make("ant/normal", 3, seed=0)
+    observation, simulation = env.reset()["observation"], env.episodes.simulation
+    qpos, qvel = simulation.field("qpos").float(), simulation.field("qvel").float()
+    places = {
+        "torso_height": qpos[:, 2:3],
+        "torso_orientation": qpos[:, 3:7],
+        "joint_angles": qpos[:, 7:],
+        "torso_velocity_xy": qvel[:, :2],
+        "torso_velocity_z": qvel[:, 2:3],
+        "torso_angular_velocity": qvel[:, 3:6],
+        "joint_velocities": qvel[:, 6:],
+    }
+    for name, expected in places.items():
+        assert torch.equal(observation[:, env.task.component_slice(name)], expected)
+
+
+def test_the_speed_is_the_mean_along_the_direction():
+    observation = torch.full((2, 4, 27), 100.0)
+    observation[:, :, 13] = torch.tensor([1.0, 2.0, 3.0, 6.0])
+    speed = Ant.outcomes["speed_m_per_s"](observation, {"direction": torch.tensor([[1.0], [-1.0]])})
+    assert speed.tolist() == [3.0, -3.0]
