@@ -1,9 +1,9 @@
 """Infer r(s, m) of new tasks from one demonstration each, and train a policy on it (Algorithm 2).
 
-    python recipes/adapt_reward.py model_file=runs/my_run/model.safetensors
-    python recipes/adapt_reward.py task=ant          # of the run of meta_train.py task=ant
-    python recipes/adapt_reward.py trained=pemirl    # of the run of meta_train.py method=pemirl
-    python recipes/adapt_reward.py test_demonstrations=my_demonstration.safetensors
+    pemirl adapt_reward model_file=runs/my_run/model.safetensors
+    pemirl adapt_reward experiment=ant       # of the run of pemirl meta_train experiment=ant
+    pemirl adapt_reward method=airl          # of the run of pemirl meta_train method=airl
+    pemirl adapt_reward test_demonstrations=my_demonstration.safetensors
 
 Writes ``policy.safetensors`` and the learning curve to ``run_dir``. Rewards are the learned ones;
 true returns, where the demonstrations come with their tasks, are metrics.
@@ -14,29 +14,40 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-import hydra
 import torch
-from config import typed
-from domains import data_file, environment, one_per_task, run_file, true_reward_module
-from omegaconf import DictConfig
-from run_folder import RunFolder, say
+from pydantic.dataclasses import dataclass
 from tensordict import NestedKey
 from tensordict.nn import TensorDictModuleBase
 
-from pemirl_trl import ContextPolicy, DemonstrationDataset, InferContext, PEMIRLModel
+from pemirl_lab.commands.meta_train import check_sizes
+from pemirl_lab.measuring.rollouts import environment, of_demonstrations, true_reward_module
+from pemirl_lab.measuring.scores import load_test_demonstrations
+from pemirl_lab.runs.places import data_file, run_file
+from pemirl_lab.runs.run_folder import RunFolder, say
+from pemirl_lab.runs.settings import Settings
+from pemirl_trl import ContextPolicy, PEMIRLModel
+from pemirl_trl.configuration import CHECKED
 from pemirl_trl.files import load_weights, read_metadata, save_weights
-from pemirl_trl.methods import PolicyOptimization, PolicyOptimizationConfig
+from pemirl_trl.methods import PolicyOptimization, PolicyOptimizationConfig, initial_policy
 from pemirl_trl.pretrained import load_model
 
 
-def load_test_demonstrations(config: DictConfig) -> DemonstrationDataset:
-    """One demonstration of each test task."""
-    demonstrations = DemonstrationDataset.load(data_file(config.test_demonstrations))
-    return one_per_task(demonstrations, config.demonstrations_per_task)
+@dataclass(frozen=True, config=CHECKED)
+class Own:
+    """What this command has of its own: the model whose reward is adapted to."""
+
+    model_file: str
+
+
+def run(settings: Settings, own: Own) -> ContextPolicy:
+    """Adapt in the folder that the settings name."""
+    folder = RunFolder.of(settings)
+    model = load_model(folder.reads("model", run_file(own.model_file, "meta_train")))
+    return adapt(settings, folder, model)[0]
 
 
 def adapt(
-    config: DictConfig,
+    settings: Settings,
     folder: RunFolder,
     model: PEMIRLModel,
     *,
@@ -47,7 +58,7 @@ def adapt(
     """Train a policy on the learned reward under the test environment's dynamics.
 
     Args:
-        config: of the run.
+        settings: of the run.
         folder: of the run; the weights go to ``policy.safetensors``, or ``<stage>.safetensors`` of
             another stage.
         model: encoder and reward.
@@ -58,27 +69,22 @@ def adapt(
     Returns:
         The policy, and the environment steps it took.
     """
-    torch.manual_seed(config.seed)
-    name = environment_name or config.test_environment
-    demonstrations = load_test_demonstrations(config)
-    rollouts = max(1, config.adaptation.rollouts // len(demonstrations))
-    transform = InferContext(
-        model.encoder,
-        demonstrations.trajectories(),
-        rollouts_per_context=rollouts,
-        draw="all",
-        sample=False,
-        tasks=None if demonstrations.task is None else demonstrations.tasks(),
-    )
+    torch.manual_seed(settings.seed)
+    name = environment_name or settings.test_environment
+    folder.reads("test demonstrations", data_file(settings.test_demonstrations))
+    demonstrations = load_test_demonstrations(settings)
+    check_sizes(settings, demonstrations)
+    rollouts = max(1, settings.adaptation.rollouts // len(demonstrations))
+    transform = of_demonstrations(model, demonstrations, rollouts)
     count = len(demonstrations) * rollouts
-    env = environment(name, count, transform, seed=config.seed, threads=config.threads)
-    policy, activation = initial_policy(config, model)
-    reward, keys, settings = _objective(config, model, name, true_reward)
+    env = environment(name, count, transform, seed=settings.seed, threads=settings.threads)
+    policy, activation = initial_policy(model, settings.adaptation)
+    reward, keys, optimization = _objective(settings, model, name, true_reward)
     method = PolicyOptimization(
         env,
         policy,
         model.horizon,
-        settings,
+        optimization,
         rollouts_per_context=rollouts,
         reward=reward,
         task_keys=keys,
@@ -92,50 +98,27 @@ def adapt(
 
 
 def _objective(
-    config: DictConfig, model: PEMIRLModel, name: str, true_reward: bool
+    settings: Settings, model: PEMIRLModel, name: str, true_reward: bool
 ) -> tuple[TensorDictModuleBase | None, tuple[NestedKey, ...], PolicyOptimizationConfig]:
     """The reward (None: the environment's), what tells tasks apart to it, and the settings."""
-    settings = typed(PolicyOptimizationConfig, config.adaptation.optimization)
+    optimization = settings.adaptation.optimization
     if not true_reward:
-        return model.reward, ("context",), settings
-    keys: tuple[NestedKey, ...] = ("context", ("task", config.task_key))
-    if config.planar:  # known as a function: the oracle's optimiser is the same
-        return true_reward_module(name, config.task_key), keys, settings
-    return None, keys, dataclasses.replace(settings, imitate_best=0.0)
-
-
-def initial_policy(config: DictConfig, model: PEMIRLModel) -> tuple[ContextPolicy, str]:
-    """The policy that adaptation starts from, and its activation.
-
-    Raises:
-        ValueError: ``adaptation.initial_policy`` is neither fresh nor trained.
-    """
-    given = config.adaptation
-    sizes = {"scale": given.policy_scale, "learn_scale": given.learn_policy_scale}
-    if given.initial_policy == "fresh":
-        policy = model.new_policy(**sizes, activation=given.policy_activation)
-        return policy, given.policy_activation
-    if given.initial_policy == "trained":
-        return model.trained_policy(**sizes), "relu"
-    raise ValueError(
-        f"unknown adaptation.initial_policy {given.initial_policy!r}; choose fresh or trained"
-    )
+        return model.reward, ("context",), optimization
+    keys: tuple[NestedKey, ...] = ("context", ("task", settings.task_key))
+    if settings.planar:  # known as a function: the oracle's optimiser is the same
+        return true_reward_module(name), keys, optimization
+    return None, keys, dataclasses.replace(optimization, imitate_best=0.0)
 
 
 def load_adapted(file: Path, model: PEMIRLModel) -> tuple[ContextPolicy, int]:
-    """The policy of a file that :func:`adapt` wrote, and the environment steps it took."""
+    """The policy of a file that :func:`adapt` wrote, and the environment steps it took.
+
+    Raises:
+        ValueError: the file holds something else.
+    """
     facts = read_metadata(file)
+    if not {"activation", "env_steps"} <= set(facts):
+        raise ValueError(f"{file} holds weights of {sorted(facts)}; expected an adapted policy")
     policy = model.new_policy(activation=facts["activation"])
     load_weights(file, {"policy": policy})
     return policy, int(facts["env_steps"])
-
-
-@hydra.main(config_path="conf", config_name="adapt_reward", version_base="1.3")
-def main(config: DictConfig) -> None:
-    """Entry point."""
-    model = load_model(run_file(config.model_file, "meta_train.py"))
-    adapt(config, RunFolder(config), model)
-
-
-if __name__ == "__main__":
-    main()

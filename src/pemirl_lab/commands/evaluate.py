@@ -1,8 +1,8 @@
 """Evaluate a meta-trained model: a table, a results file, reward maps and learning curves.
 
-    python recipes/evaluate.py                       # of the runs of meta_train.py, adapt_reward.py
-    python recipes/evaluate.py task=ant trained=pemirl   # of another method's
-    python recipes/evaluate.py meta_run=... adaptation_run=...
+    pemirl evaluate                          # of the runs of meta_train and adapt_reward
+    pemirl evaluate experiment=ant
+    pemirl evaluate meta_run=... adaptation_run=...
 
 One-shot returns on the training dynamics; policy generalisation and reward adaptation on the
 changed ones. Each of the last policy, of the mean action, with m the mean of q(m | demonstration).
@@ -10,92 +10,124 @@ changed ones. Each of the last policy, of the mean action, with m the mean of q(
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
-import hydra
 import torch
-from adapt_reward import load_adapted, load_test_demonstrations
-from behaviours import behaviour_measures
-from config import plain
-from domains import run_file
-from drawing import draw_learning_curve, draw_reward_maps
-from omegaconf import DictConfig, OmegaConf
-from run_folder import RunFolder, say
-from scoring import Scorer, context_measures
+from pydantic.dataclasses import dataclass
 
+from pemirl_lab.commands.adapt_reward import load_adapted
+from pemirl_lab.measuring.behaviours import behaviour_measures
+from pemirl_lab.measuring.scores import Scorer, context_measures, load_test_demonstrations
+from pemirl_lab.pages.drawing import draw_learning_curve, draw_reward_maps
+from pemirl_lab.pages.tables import returns_table
+from pemirl_lab.results import Result, Score, environment_facts
+from pemirl_lab.runs.places import run_file
+from pemirl_lab.runs.run_folder import RunFolder, read_curve, read_run, read_seconds, say
+from pemirl_lab.runs.settings import Settings
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
-from pemirl_trl.evaluation import Result, Score, environment_facts, returns_table
+from pemirl_trl.configuration import CHECKED
 from pemirl_trl.files import read_metadata
 from pemirl_trl.pretrained import load_model
 
 
-def evaluate(
-    config: DictConfig, folder: RunFolder, meta_run: Path, adaptation_run: Path
-) -> list[Result]:
+@dataclass(frozen=True, config=CHECKED)
+class Own:
+    """What this command has of its own.
+
+    Attributes:
+        results: where the results files go.
+        table_name: the table that they belong to.
+        meta_run, adaptation_run: of ``meta_train`` and of ``adapt_reward``.
+    """
+
+    results: str
+    table_name: str
+    meta_run: str
+    adaptation_run: str
+
+
+def run(settings: Settings, own: Own) -> list[Result]:
+    """Evaluate two runs in a folder of their own."""
+    meta_run, adaptation_run = Path(own.meta_run), Path(own.adaptation_run)
+    run_file(meta_run / "model.safetensors", "meta_train")
+    run_file(adaptation_run / "policy.safetensors", "adapt_reward")
+    return evaluate(settings, own, RunFolder.of(settings))
+
+
+def evaluate(settings: Settings, own: Own, folder: RunFolder) -> list[Result]:
     """Measure, write results and figures, print the table."""
-    torch.manual_seed(config.seed)
-    trained = meta_run / "model.safetensors"
+    torch.manual_seed(settings.seed)
+    meta_run, adaptation_run = Path(own.meta_run), Path(own.adaptation_run)
+    trained = folder.reads("model", meta_run / "model.safetensors")
+    folder.reads("adapted policy", adaptation_run / "policy.safetensors")
     model, method = load_model(trained), read_metadata(trained)["method"]
-    demonstrations = load_test_demonstrations(config)
-    runs = {method: meta_run, "adaptation": adaptation_run}
-    rewards = {method: context_measures(config, model)}
-    behaviours = {} if config.planar else behaviour_measures(config, model)
+    demonstrations = load_test_demonstrations(settings)
+    rewards = {method: context_measures(settings, model)}
+    behaviours = {} if settings.planar else behaviour_measures(settings, model)
     with folder.timed("evaluation"):
-        scores = {method: _scores(config, model, demonstrations, meta_run, adaptation_run)}
+        scores = {method: _scores(settings, model, demonstrations, meta_run, adaptation_run)}
         if (meta_run / "meta_il.safetensors").exists():
             meta_il = load_model(meta_run / "meta_il.safetensors")
-            scores["meta_il"] = _transfer(config, meta_il, demonstrations, 0)
-            rewards["meta_il"] = context_measures(config, meta_il)
+            scores["meta_il"] = _transfer(settings, meta_il, demonstrations, 0)
+            rewards["meta_il"] = context_measures(settings, meta_il)
+    _tell(method, rewards, behaviours)
+    rewards[method] |= behaviours
+    runs = {method: meta_run, "adaptation": adaptation_run}
+    results = _results(settings, own, folder, runs, scores, rewards)
+    for result in results:
+        result.write(Path(own.results) / f"{result.row}.json")
+    say(returns_table(results))
+    if settings.planar:
+        name = settings.test_environment
+        draw_reward_maps(name, model, demonstrations, folder.file("figures/reward_maps.png"))
+    dynamics = {method: settings.environment, "adaptation": settings.test_environment}
+    curves = {f"{s} on {dynamics[s]}": read_curve(run, s) for s, run in runs.items()}
+    draw_learning_curve(curves, scores[method], folder.file("figures/learning_curve.png"))
+    say(f"results -> {own.results}, figures -> {folder.file('figures')}")
+    return results
+
+
+def _tell(
+    method: str, rewards: Mapping[str, Mapping[str, float]], behaviours: Mapping[str, float]
+) -> None:
     for row, contexts in rewards.items():
         if contexts:
             read_off = ", ".join(f"{k.split('/')[1]} {v:.3f}" for k, v in contexts.items())
             say(f"{row}: the task, read off the contexts of held-out demonstrations: {read_off}")
     for name, value in behaviours.items():
         say(f"{method}, {name}: {value:.3f}")
-    rewards[method] |= behaviours
-    curves = {method: {stage: read_curve(run, stage) for stage, run in runs.items()}}
-    results = _results(config, folder, runs, scores, rewards, curves)
-    for result in results:
-        result.write(Path(config.results) / f"{result.row}.json")
-    say(returns_table(results))
-    if config.planar:
-        draw_reward_maps(config, model, demonstrations, folder.file("figures/reward_maps.png"))
-    draw_learning_curve(config, runs, scores[method], folder.file("figures/learning_curve.png"))
-    say(f"results -> {config.results}, figures -> {folder.file('figures')}")
-    return results
 
 
 def _results(
-    config: DictConfig,
+    settings: Settings,
+    own: Own,
     folder: RunFolder,
     runs: Mapping[str, Path],
     scores: Mapping[str, Sequence[Score]],
     rewards: Mapping[str, dict[str, float]],
-    curves: Mapping[str, dict[str, list[list[float]]]],
 ) -> list[Result]:
     """A result of each row of ``scores``; ``runs``: the run of each stage."""
     meta_run, adaptation_run = runs.values()
-    settings = plain(config)
+    config = dict(settings.resolved)
     if meta_run != folder.path:  # the quickstart is one run
-        settings["runs"] = {
+        config["runs"] = {
             "meta_training": read_run(meta_run),
             "adaptation": read_run(adaptation_run),
         }
+    curves = {next(iter(runs)): {stage: read_curve(run, stage) for stage, run in runs.items()}}
     return [
         Result(
-            table=config.table_name,
+            table=own.table_name,
             row=row,
-            task=config.task,
-            seed=config.seed,
+            task=settings.task,
+            seed=settings.seed,
             split="test",
             scores=tuple(of_row),
             curves=curves.get(row, {}),
             reward=rewards.get(row, {}),
             seconds=read_seconds(meta_run) | read_seconds(adaptation_run) | folder.seconds,
-            config=settings,
+            config=config,
             **environment_facts(),
         )
         for row, of_row in scores.items()
@@ -103,19 +135,22 @@ def _results(
 
 
 def _transfer(
-    config: DictConfig, model: PEMIRLModel, demonstrations: DemonstrationDataset, steps: int
+    settings: Settings, model: PEMIRLModel, demonstrations: DemonstrationDataset, steps: int
 ) -> list[Score]:
     """The meta-trained policy, where it was trained and where the dynamics have changed."""
-    scorer = Scorer(config, demonstrations)
+    scorer = Scorer(settings, demonstrations)
     used = {"meta_training": steps, "adaptation": 0}
-    where = (("one_shot", config.environment), ("policy_generalisation", config.test_environment))
+    where = (
+        ("one_shot", settings.environment),
+        ("policy_generalisation", settings.test_environment),
+    )
     return [
         s for setting, env in where for s in scorer.scores(setting, env, model, model.policy, used)
     ]
 
 
 def _scores(
-    config: DictConfig,
+    settings: Settings,
     model: PEMIRLModel,
     demonstrations: DemonstrationDataset,
     meta_run: Path,
@@ -124,38 +159,8 @@ def _scores(
     adapted, adaptation = load_adapted(adaptation_run / "policy.safetensors", model)
     steps = int(read_metadata(meta_run / "model.safetensors")["env_steps"])
     used = {"meta_training": steps, "adaptation": adaptation}
-    return _transfer(config, model, demonstrations, steps) + Scorer(config, demonstrations).scores(
-        "reward_adaptation", config.test_environment, model, adapted, used
+    scorer = Scorer(settings, demonstrations)
+    where = ("reward_adaptation", settings.test_environment)
+    return _transfer(settings, model, demonstrations, steps) + scorer.scores(
+        *where, model, adapted, used
     )
-
-
-def read_curve(run: Path, stage: str) -> list[list[float]]:
-    """The learning curve of a stage; empty if the run has none."""
-    file = run / "curves" / f"{stage}.json"
-    return json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
-
-
-def read_run(run: Path) -> dict[str, Any]:
-    """What a run was: its configuration, less where it stood, and the versions it ran with."""
-    stored = plain(OmegaConf.create(OmegaConf.load(run / "config.yaml")))  # type: ignore[arg-type]
-    versions = json.loads((run / "versions.json").read_text(encoding="utf-8"))
-    return {k: v for k, v in stored.items() if k not in ("run_dir", "model_file")} | versions
-
-
-def read_seconds(run: Path) -> dict[str, float]:
-    """Wall-clock seconds of a run's stages."""
-    file = run / "seconds.json"
-    return json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-
-
-@hydra.main(config_path="conf", config_name="evaluate", version_base="1.3")
-def main(config: DictConfig) -> None:
-    """Entry point."""
-    meta_run, adaptation_run = Path(config.meta_run), Path(config.adaptation_run)
-    run_file(meta_run / "model.safetensors", "meta_train.py")
-    run_file(adaptation_run / "policy.safetensors", "adapt_reward.py")
-    evaluate(config, RunFolder(config), meta_run, adaptation_run)
-
-
-if __name__ == "__main__":
-    main()

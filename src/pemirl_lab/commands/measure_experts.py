@@ -1,11 +1,11 @@
 """What a task's experts reach, and the training expert where the dynamics have changed.
 
-    python recipes/measure_experts.py task=ant
+    pemirl measure_experts task=ant
 
 Two rows of the task's table, ``results/TASK/expert`` and ``results/TASK/expert_carried_over``: true
-returns of the mean action over the test tasks, and what a person would look at (``outcomes.py``).
-Two more, ``scripted`` and ``scripted_carried_over``, where the task has controllers by hand
-(``yardsticks.py``).
+returns of the mean action over the test tasks, and what a person would look at (the task's
+``outcomes``). Two more, ``scripted`` and ``scripted_carried_over``, where the task has controllers
+by hand.
 """
 
 from __future__ import annotations
@@ -14,33 +14,30 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import hydra
 import torch
-from config import plain
-from domains import Actor, data_file, load_expert, rollouts_given_tasks
-from omegaconf import DictConfig
-from outcomes import OUTCOMES
-from run_folder import say
+from pydantic.dataclasses import dataclass
+from tensordict import TensorDictBase
 from torch import Tensor
-from yardsticks import YARDSTICKS
 
 import pemirl_envs
-from pemirl_trl.evaluation import Result, Score, environment_facts, returns_table
+from pemirl_lab.measuring.experts import load_expert
+from pemirl_lab.measuring.rollouts import evaluation_episodes, of_tasks
+from pemirl_lab.pages.tables import returns_table
+from pemirl_lab.results import Result, Score, environment_facts
+from pemirl_lab.runs.places import data_file
+from pemirl_lab.runs.run_folder import say
+from pemirl_lab.runs.settings import Settings, variant
+from pemirl_trl.configuration import CHECKED
+from pemirl_trl.evaluation import Actor, returns_per_task
 from pemirl_trl.files import read_metadata
 
-Measured = tuple[Tensor, float]
-"""Returns ``[tasks]``, and the outcome's mean over the tasks."""
 
+@dataclass(frozen=True, config=CHECKED)
+class Own:
+    """What this command has of its own: where results go, and the table they belong to."""
 
-def measure(name: str, policy: Actor, config: DictConfig) -> Measured:
-    """A policy that reads the task (or random actions) under some dynamics, on the test tasks."""
-    tasks, episodes = pemirl_envs.task_parameters(name, "test"), config.evaluation.episodes
-    torch.manual_seed(config.evaluation.seed)
-    rollouts = rollouts_given_tasks(name, policy, tasks, config)
-    returns = rollouts["next", "reward"].sum((1, 2)).view(len(tasks), episodes).mean(1)
-    _, outcome = OUTCOMES[config.task]
-    reached = outcome(rollouts["next", "observation"], rollouts["task"][:, 0])
-    return returns, float(reached.mean())
+    results: str
+    table_name: str
 
 
 class Measurement(NamedTuple):
@@ -52,28 +49,35 @@ class Measurement(NamedTuple):
     env_steps: int
 
 
-def measure_experts(config: DictConfig) -> list[Result]:
+Measured = tuple[Tensor, dict[str, float]]
+"""Returns ``[tasks]``, and the outcomes' means over the tasks."""
+
+
+def run(settings: Settings, own: Own) -> list[Result]:
     """Every expert on the dynamics that it was trained on, and the first one on the test's."""
-    torch.set_num_threads(1)
-    training, test = config.environment, config.test_environment
-    own = [_expert(config, name) for name in (training, test)]
-    lost = own[0]._replace(setting="policy_generalisation", environment=test)
-    rows = {"expert": own, "expert_carried_over": [lost]}
-    if training in YARDSTICKS:
-        scripted = [m._replace(policy=YARDSTICKS[m.environment], env_steps=0) for m in own]
-        rows["scripted"] = scripted
-        rows["scripted_carried_over"] = [lost._replace(policy=scripted[0].policy, env_steps=0)]
+    training, test = settings.environment, settings.test_environment
+    experts = [_expert(settings, name) for name in (training, test)]
+    lost = experts[0]._replace(setting="policy_generalisation", environment=test)
+    rows = {"expert": experts, "expert_carried_over": [lost]}
+    scripted = [_scripted(name) for name in (training, test)]
+    if all(actor is not None for actor in scripted):
+        by_hand = [
+            m._replace(policy=actor, env_steps=0)
+            for m, actor in zip(experts, scripted, strict=True)
+        ]
+        rows["scripted"] = by_hand
+        rows["scripted_carried_over"] = [lost._replace(policy=by_hand[0].policy, env_steps=0)]
     measured = {
-        row: [measure(m.environment, m.policy, config) for m in chosen]
+        row: [measure(settings, m.environment, m.policy) for m in chosen]
         for row, chosen in rows.items()
     }
     scales = {
-        m.environment: (float(measure(m.environment, None, config)[0].mean()), float(expert.mean()))
-        for m, (expert, _) in zip(own, measured["expert"], strict=True)
+        m.environment: (_mean(measure(settings, m.environment, None)), float(expert.mean()))
+        for m, (expert, _) in zip(experts, measured["expert"], strict=True)
     }
-    results = [_result(config, row, rows[row], measured[row], scales) for row in rows]
+    results = [_result(settings, own, row, rows[row], measured[row], scales) for row in rows]
     for result in results:
-        result.write(Path(config.results) / result.row / "seed0.json")
+        result.write(Path(own.results) / result.row / "seed0.json")
     say(returns_table(results))
     for result in results:
         for outcome, value in result.reward.items():
@@ -81,29 +85,55 @@ def measure_experts(config: DictConfig) -> list[Result]:
     return results
 
 
-def _expert(config: DictConfig, environment: str) -> Measurement:
-    path = config.experts[_variant(environment)]
+def measure(settings: Settings, name: str, policy: Actor) -> Measured:
+    """A policy that reads the task (or random actions) under some dynamics, on the test tasks."""
+    tasks, episodes = pemirl_envs.task_parameters(name, "test"), settings.evaluation.episodes
+    torch.manual_seed(settings.evaluation.seed)
+    rollouts = evaluation_episodes(settings, name, policy, of_tasks(tasks, episodes), len(tasks))
+    of_rollouts = rollouts["task"][:, 0]
+    reached = {
+        outcome: float(function(rollouts["next", "observation"], of_rollouts).mean())
+        for outcome, function in pemirl_envs.get_task(name).outcomes.items()
+    }
+    return returns_per_task(rollouts, episodes), reached
+
+
+def _mean(measured: Measured) -> float:
+    return float(measured[0].mean())
+
+
+def _expert(settings: Settings, environment: str) -> Measurement:
+    path = settings.expert_file(environment)
     steps = int(read_metadata(data_file(path))["env_steps"])
     return Measurement("expert", environment, load_expert(path), steps)
 
 
-def _variant(environment: str) -> str:
-    return environment.split("/")[1]
+def _scripted(name: str) -> Actor:
+    """The task's controller by hand; None where it has none."""
+    controller = pemirl_envs.get_task(name).scripted_controller()
+    if controller is None:
+        return None
+
+    def act(tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.set("action", controller(tensordict["observation"], tensordict["task"]))
+
+    return act
 
 
 def _result(
-    config: DictConfig,
+    settings: Settings,
+    own: Own,
     row: str,
     measurements: Sequence[Measurement],
     measured: Sequence[Measured],
     scales: Mapping[str, tuple[float, float]],
 ) -> Result:
     """``scales``: mean returns of random actions and of the expert, by environment."""
-    scores, outcomes = [], {}
-    for m, (returns, outcome) in zip(measurements, measured, strict=True):
+    scores, reached = [], {}
+    for m, (returns, outcomes) in zip(measurements, measured, strict=True):
         random, expert = scales[m.environment]
         score = Score(
-            variant=_variant(m.environment),
+            variant=variant(m.environment),
             setting=m.setting,
             goals="all",
             per_task=tuple(returns.tolist()),
@@ -112,26 +142,16 @@ def _result(
             env_steps={"meta_training": m.env_steps, "adaptation": 0},
         )
         scores.append(score)
-        outcomes[f"{OUTCOMES[config.task][0]}/{score.variant}"] = outcome
+        reached |= {f"{name}/{score.variant}": value for name, value in outcomes.items()}
     return Result(
-        table=config.table_name,
+        table=own.table_name,
         row=row,
-        task=config.task,
+        task=settings.task,
         seed=0,
         split="test",
         scores=tuple(scores),
-        reward=outcomes,
+        reward=reached,
         seconds={},
-        config=plain(config),
+        config=dict(settings.resolved),
         **environment_facts(),
     )
-
-
-@hydra.main(config_path="conf", config_name="measure_experts", version_base="1.3")
-def main(config: DictConfig) -> None:
-    """Entry point."""
-    measure_experts(config)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,9 +1,9 @@
 """From unlabelled demonstrations to a policy on a reward inferred from one demonstration.
 
-    python recipes/quickstart.py
-    python recipes/quickstart.py seed=1 method=pemirl
-    python recipes/quickstart.py preset=smoke            # seconds: does everything run here?
-    python recipes/quickstart.py -m seed=0,1,2           # three seeds, one after the other
+    pemirl quickstart
+    pemirl quickstart experiment=ant seed=1
+    pemirl quickstart preset=smoke            # seconds: does everything run here?
+    pemirl quickstart -m seed=0,1,2           # three seeds, one after the other
 
 Meta-trains on Point-Maze with the barrier on the left, infers the goals of 30 unseen tasks from one
 demonstration each, trains a policy on the inferred rewards with the barrier on the right, and
@@ -14,29 +14,36 @@ from __future__ import annotations
 
 import time
 
-import hydra
-from adapt_reward import adapt
-from evaluate import evaluate
-from meta_train import meta_train
-from omegaconf import DictConfig
-from run_folder import RunFolder, say
+from pydantic.dataclasses import dataclass
+
+from pemirl_lab.commands.adapt_reward import adapt
+from pemirl_lab.commands.evaluate import Own as Evaluation
+from pemirl_lab.commands.evaluate import evaluate
+from pemirl_lab.commands.meta_train import meta_train
+from pemirl_lab.runs.run_folder import RunFolder, say
+from pemirl_lab.runs.settings import Settings
+from pemirl_trl.configuration import CHECKED
 
 
-def quickstart(config: DictConfig) -> None:
+@dataclass(frozen=True, config=CHECKED)
+class Own:
+    """What this command has of its own: where results go, and the table they belong to."""
+
+    results: str
+    table_name: str
+
+
+def run(settings: Settings, own: Own) -> None:
     """Meta-train, adapt, evaluate."""
     start = time.perf_counter()
-    folder = RunFolder(config)
-    model = meta_train(config, folder)
-    adapt(config, folder, model)
-    evaluate(config, folder, folder.path, folder.path)
+    folder = RunFolder.of(settings)
+    model = meta_train(settings, folder)
+    adapt(settings, folder, model)
+    evaluation = Evaluation(
+        results=own.results,
+        table_name=own.table_name,
+        meta_run=settings.run_dir,
+        adaptation_run=settings.run_dir,
+    )
+    evaluate(settings, evaluation, folder)
     say(f"all of it took {(time.perf_counter() - start) / 60:.1f} minutes")
-
-
-@hydra.main(config_path="conf", config_name="quickstart", version_base="1.3")
-def main(config: DictConfig) -> None:
-    """Entry point."""
-    quickstart(config)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,8 +1,8 @@
 """Film a policy on a few unseen tasks, with MuJoCo's own renderer.
 
     export MUJOCO_GL=osmesa
-    python recipes/record_video.py run=runs/quickstart/point_maze/pemirl_robust/seed0
-    python recipes/record_video.py task=ant policy=expert output=ant.mp4
+    pemirl record_video run=runs/quickstart/point_maze/pemirl_robust/seed0
+    pemirl record_video task=ant policy=expert output=ant.mp4
 
 Writes ``output`` (mp4). Headless rendering needs Debian's ``libosmesa6``.
 """
@@ -10,86 +10,92 @@ Writes ``output`` (mp4). Headless rendering needs Debian's ``libosmesa6``.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
-import hydra
 import torch
-from adapt_reward import load_adapted, load_test_demonstrations
-from domains import environment, given_tasks, load_expert, run_file
-from omegaconf import DictConfig
-from run_folder import say
+from pydantic.dataclasses import dataclass
 from tensordict import TensorDictBase
-from torchrl.envs import ExplorationType, Transform, set_exploration_type
+from torchrl.envs import Transform
 
 import pemirl_envs
 from pemirl_envs.rendering import render, write_video
-from pemirl_trl import InferContext, SampleTasks
+from pemirl_lab.commands.adapt_reward import load_adapted
+from pemirl_lab.measuring.experts import load_expert
+from pemirl_lab.measuring.rollouts import environment, of_demonstrations, of_tasks
+from pemirl_lab.measuring.scores import load_test_demonstrations
+from pemirl_lab.runs.places import run_file
+from pemirl_lab.runs.run_folder import say
+from pemirl_lab.runs.settings import Settings
+from pemirl_trl.configuration import CHECKED, Count
+from pemirl_trl.evaluation import whole_episodes
 from pemirl_trl.pretrained import load_model
 
-Actor = Callable[[TensorDictBase], TensorDictBase]
+Filmed = tuple[Callable[[TensorDictBase], TensorDictBase], Transform, int]
+"""A policy, what resets to its tasks, and their number."""
 
 
-def adapted(config: DictConfig) -> tuple[Actor, Transform, int]:
-    """An adapted policy, what writes its contexts, and the number of tasks."""
-    model = load_model(run_file(config.model_file, "quickstart.py or meta_train.py"))
-    file = run_file(config.policy_file, "quickstart.py or adapt_reward.py")
-    policy, _ = load_adapted(file, model)
-    demonstrations = load_test_demonstrations(config)
-    few = demonstrations[_spread(len(demonstrations), config.tasks)]
-    transform = InferContext(
-        model.encoder, few.trajectories(), draw="all", sample=False, tasks=few.tasks()
-    )
-    return policy, transform, len(few)
+@dataclass(frozen=True, config=CHECKED)
+class Own:
+    """What this command has of its own.
 
+    Attributes:
+        run: the folder of a run, where the next two come from one.
+        model_file, policy_file: what is filmed.
+        policy: ``adapted``, of the run, or ``expert``, the task's, under the test dynamics.
+        tasks: how many.
+        every: control steps between two frames.
+        camera, width, height: of the pictures.
+        output: the film.
+    """
 
-def expert(config: DictConfig) -> tuple[Actor, Transform, int]:
-    """The expert under the test dynamics, what writes its tasks, and their number."""
-    tasks = pemirl_envs.task_parameters(config.test_environment, "test")
-    few = tasks[_spread(len(tasks), config.tasks)]
-    policy = load_expert(config.experts[config.test_environment.split("/")[1]])
-    return policy, SampleTasks(given_tasks(few), rollouts_per_task=1), len(few)
-
-
-POLICIES = {"adapted": adapted, "expert": expert}
-
-
-def _spread(available: int, wanted: int) -> torch.Tensor:
-    return torch.linspace(0, available - 1, min(available, wanted)).round().long()
+    run: str
+    model_file: str
+    policy_file: str
+    policy: Literal["adapted", "expert"]
+    tasks: Count
+    every: Count
+    camera: str
+    width: Count
+    height: Count
+    output: str
 
 
 @torch.no_grad()
-def record_video(config: DictConfig) -> None:
-    """Roll the policy out, one episode after the other, and film it.
-
-    Raises:
-        ValueError: there is no such policy; names the legal ones.
-    """
-    if config.policy not in POLICIES:
-        raise ValueError(f"unknown policy {config.policy!r}; choose one of {sorted(POLICIES)}")
-    policy, transform, count = POLICIES[config.policy](config)
-    task = pemirl_envs.get_task(config.test_environment)
-    env = environment(
-        config.test_environment, count, transform, seed=config.seed, threads=config.threads
-    )
+def run(settings: Settings, own: Own) -> None:
+    """Roll the policy out, one episode after the other, and film it."""
+    policy, transform, count = {"adapted": adapted, "expert": expert}[own.policy](settings, own)
+    name = settings.test_environment
+    task = pemirl_envs.get_task(name)
+    env = environment(name, count, transform, seed=settings.seed, threads=settings.threads)
     states = []
 
     def act(tensordict: TensorDictBase) -> TensorDictBase:
         states.append(env.base_env.physics_state())
         return policy(tensordict)
 
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        env.rollout(task.horizon, act, break_when_any_done=False)
-    film = torch.stack(states[:: config.every], 1).flatten(0, 1)  # [tasks * frames, n_state]
-    size = {"width": config.width, "height": config.height, "camera": config.camera}
-    fps = 1 / (task.control_timestep * config.every)
-    write_video(config.output, render(task, film, **size), fps=fps)
-    say(f"{count} episodes -> {config.output}")
+    whole_episodes(env, act, task.horizon)
+    film = torch.stack(states[:: own.every], 1).flatten(0, 1)  # [tasks * frames, n_state]
+    frames = render(task, film, width=own.width, height=own.height, camera=own.camera)
+    write_video(own.output, frames, fps=1 / (task.control_timestep * own.every))
+    say(f"{count} episodes -> {own.output}")
 
 
-@hydra.main(config_path="conf", config_name="record_video", version_base="1.3")
-def main(config: DictConfig) -> None:
-    """Entry point."""
-    record_video(config)
+def adapted(settings: Settings, own: Own) -> Filmed:
+    """An adapted policy, with the contexts of a few unseen demonstrations."""
+    model = load_model(run_file(own.model_file, "quickstart or meta_train"))
+    file = run_file(own.policy_file, "quickstart or adapt_reward")
+    policy, _ = load_adapted(file, model)
+    demonstrations = load_test_demonstrations(settings)
+    few = demonstrations[_spread(len(demonstrations), own.tasks)]
+    return policy, of_demonstrations(model, few, 1), len(few)
 
 
-if __name__ == "__main__":
-    main()
+def expert(settings: Settings, own: Own) -> Filmed:
+    """The expert under the test dynamics, with a few unseen tasks."""
+    tasks = pemirl_envs.task_parameters(settings.test_environment, "test")
+    few = tasks[_spread(len(tasks), own.tasks)]
+    return load_expert(settings.expert_file(settings.test_environment)), of_tasks(few, 1), len(few)
+
+
+def _spread(available: int, wanted: int) -> torch.Tensor:
+    return torch.linspace(0, available - 1, min(available, wanted)).round().long()

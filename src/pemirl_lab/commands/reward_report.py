@@ -1,7 +1,7 @@
 """How close is the learned reward to the true one? One page with figures.
 
-    python recipes/reward_report.py model_file=runs/my_run/model.safetensors
-    python recipes/reward_report.py transfer=true  # and what policies trained on it reach
+    pemirl reward_report model_file=runs/my_run/model.safetensors
+    pemirl reward_report transfer=true  # and what policies trained on it reach
 
 Writes ``report.md``, ``report.json`` and figures to ``run_dir``. The latent m of a task is the mean
 of q(m | its one demonstration).
@@ -10,41 +10,29 @@ of q(m | its one demonstration).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import field
 
-import hydra
 import torch
-from adapt_reward import adapt, load_test_demonstrations
-from config import typed
-from domains import (
-    environment,
-    given_tasks,
-    load_expert,
-    returns_given_demonstrations,
-    returns_given_tasks,
-    returns_of_random_actions,
-    run_file,
-    true_reward_module,
-)
-from omegaconf import DictConfig
-from run_folder import RunFolder, say
-from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
+from pydantic.dataclasses import dataclass
+from tensordict import TensorDictBase
 
 import pemirl_envs
-from pemirl_trl import ContextPolicy, DemonstrationDataset, PEMIRLModel, SampleTasks
-from pemirl_trl.evaluation import (
-    RewardFunction,
-    RewardReport,
-    distance_to_goal,
-    map_of_reward,
-    position_grid,
-    reward_report,
-    shaped_reward_of,
-    state_reward_of,
+from pemirl_lab.commands.adapt_reward import adapt
+from pemirl_lab.measuring.learned_rewards import (
+    ReportConfig,
+    coverage_of,
+    grid,
+    measure_reward,
+    rewards_of,
 )
-from pemirl_trl.evaluation.figures import reward_maps, reward_scatter, save_figure
-from pemirl_trl.evaluation.reward_quality import Bounds
+from pemirl_lab.measuring.scores import Scorer, load_test_demonstrations
+from pemirl_lab.pages.figures import reward_maps, reward_scatter, save_figure
+from pemirl_lab.runs.places import run_file
+from pemirl_lab.runs.run_folder import RunFolder, say
+from pemirl_lab.runs.settings import Settings
+from pemirl_trl import DemonstrationDataset, PEMIRLModel
+from pemirl_trl.configuration import CHECKED
+from pemirl_trl.evaluation import RewardReport, distance_to_goal, map_of_reward
 from pemirl_trl.files import atomic_path
 from pemirl_trl.pretrained import load_model
 
@@ -52,122 +40,60 @@ DRAWN_TASKS = 4
 DRAWN_TRANSITIONS = 150  # per task, in a scatter plot
 
 
-@dataclass(frozen=True)
-class ReportConfig:
-    """What is measured.
+@dataclass(frozen=True, config=CHECKED)
+class Own:
+    """What this command has of its own.
 
-    Args:
-        episodes: per task, of random actions and of the expert.
-        resolution: cells of a map along each axis.
-        epic_transitions, epic_samples, features: see
-            :func:`pemirl_trl.evaluation.reward_report`.
+    Attributes:
+        model_file: whose reward.
+        transfer: whether policies are trained on it, too.
+        report: what is measured.
     """
 
-    episodes: int = 5
-    resolution: int = 60
-    epic_transitions: int = 128
-    epic_samples: int = 64
-    features: int = 64
+    model_file: str
+    transfer: bool = False
+    report: ReportConfig = field(default_factory=ReportConfig)
 
 
-def measure_reward(
-    config: DictConfig, model: PEMIRLModel, demonstrations: DemonstrationDataset
-) -> RewardReport:
-    """Measure r alone and the shaped f of one demonstration per task, under the test dynamics.
+def run(settings: Settings, own: Own) -> RewardReport:
+    """Measure, draw, and write the page.
 
-    Args:
-        config: has ``test_environment``, ``experts``, ``threads``, ``evaluation.seed``; ``report``
-            where it differs from :class:`ReportConfig`.
-        model: whose reward and encoder.
-        demonstrations: one per task, with the tasks.
+    Raises:
+        ValueError: the task's true reward is not a function of a position.
     """
-    return _measure(config, model, demonstrations, coverage_of(config, model, demonstrations))
-
-
-def coverage_of(
-    config: DictConfig, model: PEMIRLModel, demonstrations: DemonstrationDataset
-) -> dict[str, TensorDictBase]:
-    """Transitions ``[C, episodes * T]`` under the test dynamics, with ``context`` and ``task``.
-
-    Of uniformly random actions; of the expert, drawing its actions; and every second one of both.
-    """
-    with torch.no_grad(), torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.evaluation.seed)
-        context = model.encoder.get_dist(demonstrations.trajectories()).mean  # [C, D]
-        expert = load_expert(config.experts[config.test_environment.split("/")[1]])
-        random = _transitions(config, None, demonstrations.tasks(), context)
-        expert = _transitions(config, expert, demonstrations.tasks(), context)
-    mixed = torch.cat([random[:, ::2], expert[:, ::2]], dim=1)
-    return {"random": random, "expert": expert, "mixed": mixed}
-
-
-def true_reward(name: str, task_key: str) -> RewardFunction:
-    """The reward that a planar task gives for any transition, possible or not."""
-    module = true_reward_module(name, task_key)
-
-    def reward(transitions: TensorDictBase) -> Tensor:
-        return module(transitions.select(*module.in_keys))["learned_reward"].squeeze(-1)
-
-    return reward
-
-
-def _transitions(
-    config: DictConfig, policy: ContextPolicy | None, tasks: TensorDictBase, context: Tensor
-) -> TensorDict:
-    episodes = _settings(config).episodes
-    env = environment(
-        config.test_environment,
-        len(tasks) * episodes,
-        SampleTasks(given_tasks(tasks), rollouts_per_task=episodes),
-        seed=config.evaluation.seed,
-        threads=config.threads,
+    if not settings.planar:
+        raise ValueError(
+            f"task={settings.task} is not planar: this report needs the true reward of transitions "
+            "that never happened, as a function of the position alone; use "
+            "pemirl_trl.evaluation.reward_report with your own"
+        )
+    folder = RunFolder.of(settings)
+    model = load_model(folder.reads("model", run_file(own.model_file, "meta_train")))
+    demonstrations = load_test_demonstrations(settings)
+    with folder.timed("report"):
+        coverage = coverage_of(settings, own.report.episodes, model, demonstrations)
+        report = measure_reward(settings, own.report, model, demonstrations, coverage)
+        draw(settings, own, folder, model, demonstrations, coverage)
+    returns = transfer(settings, folder, model, demonstrations) if own.transfer else {}
+    folder.write_json(
+        "report.json",
+        {
+            "summary": report.summary(),
+            "per_task": {"/".join(m): values.tolist() for m, values in report.per_task.items()},
+            "goals": demonstrations.tasks()["goal"].tolist(),
+            "returns": returns,
+        },
     )
-    horizon = pemirl_envs.get_task(config.test_environment).horizon
-    rollouts = env.rollout(horizon, policy, break_when_any_done=False)  # [C * episodes, T]
-    kept = rollouts.select("observation", "action", ("next", "observation"), ("next", "reward"))
-    kept["task"] = rollouts["task"]
-    kept = kept.reshape(len(tasks), episodes * horizon).contiguous()
-    return kept.set("context", context.unsqueeze(1).expand(*kept.shape, -1))
-
-
-def _settings(config: DictConfig) -> ReportConfig:
-    return typed(ReportConfig, config.get("report") or {})
-
-
-def _rewards(model: PEMIRLModel) -> dict[str, RewardFunction]:
-    return {"r": state_reward_of(model.reward), "f": shaped_reward_of(model.reward)}
-
-
-def _grid(config: DictConfig) -> tuple[Bounds, Tensor]:
-    plan = pemirl_envs.layout(config.test_environment)
-    bounds = ((plan.low[0], plan.high[0]), (plan.low[1], plan.high[1]))
-    cells = _settings(config).resolution
-    return bounds, position_grid(bounds, (cells, cells))
-
-
-def _measure(
-    config: DictConfig,
-    model: PEMIRLModel,
-    demonstrations: DemonstrationDataset,
-    coverage: Mapping[str, TensorDictBase],
-) -> RewardReport:
-    settings = _settings(config)
-    return reward_report(
-        _rewards(model),
-        true_reward(config.test_environment, config.task_key),
-        coverage,
-        gamma=model.reward.gamma,
-        positions=_grid(config)[1],
-        goals=demonstrations.tasks()["goal"],
-        epic_transitions=settings.epic_transitions,
-        epic_samples=settings.epic_samples,
-        features=settings.features,
-        seed=config.evaluation.seed,
-    )
+    with atomic_path(folder.file("report.md")) as temporary:
+        text = page(settings, own, report, len(demonstrations), returns)
+        temporary.write_text(text, encoding="utf-8")
+    say(f"{report.markdown()}report -> {folder.file('report.md')}")
+    return report
 
 
 def draw(
-    config: DictConfig,
+    settings: Settings,
+    own: Own,
     folder: RunFolder,
     model: PEMIRLModel,
     demonstrations: DemonstrationDataset,
@@ -179,9 +105,9 @@ def draw(
     chosen = goals[:, 0].argsort()[spread]
     some = {name: batch[chosen] for name, batch in coverage.items()}
     titles = [f"goal x = {float(g[0]):.2f} m" for g in goals[chosen]]
-    bounds, positions = _grid(config)
-    plan = pemirl_envs.layout(config.test_environment)
-    rewards = _rewards(model)
+    bounds, positions = grid(settings, own.report.resolution)
+    plan = pemirl_envs.layout(settings.test_environment)
+    rewards = rewards_of(model)
     maps = {k: map_of_reward(r, some["random"], positions) for k, r in rewards.items()}
     figure = reward_maps(
         maps["r"],
@@ -204,23 +130,23 @@ def draw(
 
 
 def transfer(
-    config: DictConfig, folder: RunFolder, model: PEMIRLModel, demonstrations: DemonstrationDataset
+    settings: Settings,
+    folder: RunFolder,
+    model: PEMIRLModel,
+    demonstrations: DemonstrationDataset,
 ) -> dict[str, dict[str, float]]:
     """True returns of policies trained on r: under the training dynamics, and under changed ones.
 
     Each beside the expert's and random actions'; means over tasks.
     """
-    tasks = demonstrations.tasks()
-    table = {}
-    for kind, name in (("self-transfer", config.environment), ("shift", config.test_environment)):
-        policy, _ = adapt(config, folder, model, environment_name=name, stage=kind)
-        expert = load_expert(config.experts[name.split("/")[1]])
+    scorer, table = Scorer(settings, demonstrations), {}
+    where = {"self-transfer": settings.environment, "shift": settings.test_environment}
+    for kind, name in where.items():
+        policy, _ = adapt(settings, folder, model, environment_name=name, stage=kind)
         returns = {
-            "random": returns_of_random_actions(name, tasks, config),
-            "expert": returns_given_tasks(name, expert, tasks, config),
-            "learned reward": returns_given_demonstrations(
-                name, model, policy, demonstrations, config
-            ),
+            "random": scorer.references(name)["random"],
+            "expert": scorer.references(name)["expert"],
+            "learned reward": scorer.returns(name, model, policy),
         }
         table[f"{kind} ({name})"] = {k: float(v.mean()) for k, v in returns.items()}
     return table
@@ -234,7 +160,7 @@ f = r + gamma h(s') - h(s). Means over tasks, the worst task in parentheses.
 
 {table}
 Coverage per task: *random*, {transitions} transitions of uniformly random actions; *expert*, as
-many of the expert trained on the true reward, drawing its actions; *mixed*, every second one of
+many of the expert trained on the true reward, on its mean actions; *mixed*, every second one of
 both; *map*, a grid of {resolution} x {resolution} states at rest (s' = s, no action), against minus
 the distance to the goal. Everywhere else the true reward is the one that the environment gave.
 
@@ -253,10 +179,13 @@ the distance to the goal. Everywhere else the true reward is the one that the en
 
 
 def page(
-    config: DictConfig, report: RewardReport, tasks: int, returns: Mapping[str, Mapping[str, float]]
+    settings: Settings,
+    own: Own,
+    report: RewardReport,
+    tasks: int,
+    returns: Mapping[str, Mapping[str, float]],
 ) -> str:
     """The report as Markdown."""
-    settings = _settings(config)
     lines = [
         f"| {kind} | {' | '.join(f'{v:.2f}' for v in r.values())} |" for kind, r in returns.items()
     ]
@@ -265,56 +194,12 @@ def page(
         "| | random | expert | learned reward |\n| --- | --- | --- | --- |\n"
     )
     return PAGE.format(
-        model=config.model_file,
+        model=own.model_file,
         tasks=tasks,
-        environment=config.test_environment,
+        environment=settings.test_environment,
         table=report.markdown(),
-        transitions=settings.episodes * pemirl_envs.get_task(config.test_environment).horizon,
-        resolution=settings.resolution,
-        features=settings.features,
+        transitions=own.report.episodes * pemirl_envs.get_task(settings.test_environment).horizon,
+        resolution=own.report.resolution,
+        features=own.report.features,
         transfer=header + "\n".join(lines) + "\n" if returns else "",
     )
-
-
-def write_report(config: DictConfig, folder: RunFolder, model: PEMIRLModel) -> RewardReport:
-    """Measure, draw, and write the page.
-
-    Raises:
-        ValueError: the task's true reward is not a function of a position.
-    """
-    if not config.planar:
-        raise ValueError(
-            f"task={config.task} is not planar: this report needs the true reward of transitions "
-            "that never happened, as a function of the position alone; use "
-            "pemirl_trl.evaluation.reward_report with your own"
-        )
-    demonstrations = load_test_demonstrations(config)
-    with folder.timed("report"):
-        coverage = coverage_of(config, model, demonstrations)
-        report = _measure(config, model, demonstrations, coverage)
-        draw(config, folder, model, demonstrations, coverage)
-    returns = transfer(config, folder, model, demonstrations) if config.transfer else {}
-    folder.write_json(
-        "report.json",
-        {
-            "summary": report.summary(),
-            "per_task": {"/".join(m): values.tolist() for m, values in report.per_task.items()},
-            "goals": demonstrations.tasks()["goal"].tolist(),
-            "returns": returns,
-        },
-    )
-    with atomic_path(folder.file("report.md")) as temporary:
-        temporary.write_text(page(config, report, len(demonstrations), returns), encoding="utf-8")
-    say(f"{report.markdown()}report -> {folder.file('report.md')}")
-    return report
-
-
-@hydra.main(config_path="conf", config_name="reward_report", version_base="1.3")
-def main(config: DictConfig) -> None:
-    """Entry point."""
-    model = load_model(run_file(config.model_file, "meta_train.py"))
-    write_report(config, RunFolder(config), model)
-
-
-if __name__ == "__main__":
-    main()

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import torch
-from adapt_reward import load_test_demonstrations
-from domains import Actor, load_expert, rollouts_given_tasks
-from omegaconf import DictConfig
 from tensordict import TensorDictBase
+from torch import Tensor
 
+from pemirl_lab.measuring.experts import load_expert
+from pemirl_lab.measuring.rollouts import evaluation_episodes, of_tasks
+from pemirl_lab.measuring.scores import load_test_demonstrations
+from pemirl_lab.runs.settings import Settings
 from pemirl_trl import PEMIRLModel
-from pemirl_trl.evaluation import spearman
+from pemirl_trl.evaluation import Actor, spearman
 
 
 @torch.no_grad()
-def behaviour_measures(config: DictConfig, model: PEMIRLModel) -> dict[str, float]:
+def behaviour_measures(settings: Settings, model: PEMIRLModel) -> dict[str, float]:
     """r(s, m), mean per step, of four behaviours under the test dynamics, by their names.
 
     ``expert`` was trained there, ``carried_over`` on the training dynamics; ``still`` does nothing
@@ -21,35 +23,39 @@ def behaviour_measures(config: DictConfig, model: PEMIRLModel) -> dict[str, floa
     demonstration, and ``spearman`` the rank correlation of learned and true returns over all
     rollouts. A reward that prefers standing still to the expert cannot make a policy move.
     """
-    name = config.test_environment
-    demonstrations = load_test_demonstrations(config)
+    demonstrations, episodes = load_test_demonstrations(settings), settings.evaluation.episodes
     contexts = model.encoder.get_dist(demonstrations.trajectories()).mean
-    training, test = (config[k].split("/")[1] for k in ("environment", "test_environment"))
+    tasks = demonstrations.tasks()
 
     def still(tensordict: TensorDictBase) -> TensorDictBase:  # TorchRL goes by that name
         return tensordict.set("action", torch.zeros(len(tensordict), model.action_dim))
 
     actors: dict[str, Actor] = {
-        "expert": load_expert(config.experts[test]),
-        "carried_over": load_expert(config.experts[training]),
+        "expert": load_expert(settings.expert_file(settings.test_environment)),
+        "carried_over": load_expert(settings.expert_file(settings.environment)),
         "still": still,
         "random": None,
     }
-    measures, learned_returns, true_returns = {}, [], []
+    measures: dict[str, float] = {}
+    learned_returns, true_returns = [], []
     for label, actor in actors.items():
-        rollouts = rollouts_given_tasks(name, actor, demonstrations.tasks(), config)
-        observation = rollouts["observation"]
-
-        def score(m: torch.Tensor, observation: torch.Tensor = observation) -> torch.Tensor:
-            per_step = m.repeat_interleave(config.evaluation.episodes, 0).unsqueeze(1)
-            m_steps = per_step.expand(*observation.shape[:-1], -1)
-            return model.reward.reward(observation, m_steps).mean((1, 2))  # [rollouts]
-
-        learned = score(contexts)
+        rollouts = evaluation_episodes(
+            settings, settings.test_environment, actor, of_tasks(tasks, episodes), len(tasks)
+        )
+        learned = _mean_reward(model, contexts, rollouts["observation"], episodes)
         measures[f"behaviour/{label}"] = float(learned.mean())
         if label == "expert":
-            measures["behaviour/expert_other_task"] = float(score(contexts.roll(1, 0)).mean())
+            others = _mean_reward(model, contexts.roll(1, 0), rollouts["observation"], episodes)
+            measures["behaviour/expert_other_task"] = float(others.mean())
         learned_returns.append(learned)
         true_returns.append(rollouts["next", "reward"].sum((1, 2)))
     rank = spearman(torch.cat(learned_returns), torch.cat(true_returns))
     return {**measures, "behaviour/spearman": float(rank)}
+
+
+def _mean_reward(
+    model: PEMIRLModel, contexts: Tensor, observation: Tensor, episodes: int
+) -> Tensor:
+    """r(s, m), mean per step ``[rollouts]``, of so many rollouts per context."""
+    m = contexts.repeat_interleave(episodes, 0).unsqueeze(1)
+    return model.reward.reward(observation, m.expand(*observation.shape[:-1], -1)).mean((1, 2))

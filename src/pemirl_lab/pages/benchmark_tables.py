@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from pemirl_trl.evaluation.tables import markdown_table
+from pemirl_lab.pages.tables import markdown_table
 
 Benchmark = Mapping[str, Any]
 """What a benchmark wrote with ``--output``."""

@@ -1,29 +1,28 @@
-"""The figures of a recipe: reward maps of unseen tasks, learning curves."""
+"""The figures of a run: reward maps of unseen tasks, learning curves."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
-from omegaconf import DictConfig
 
 import pemirl_envs
+from pemirl_lab.pages.figures import learning_curve, reward_maps, save_figure
+from pemirl_lab.results import Score
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
-from pemirl_trl.evaluation import Score, distance_to_goal, position_grid, reward_on_grid
-from pemirl_trl.evaluation.figures import learning_curve, reward_maps, save_figure
+from pemirl_trl.evaluation import distance_to_goal, position_grid, reward_on_grid
 
 
 @torch.no_grad()
 def draw_reward_maps(
-    config: DictConfig, model: PEMIRLModel, demonstrations: DemonstrationDataset, path: Path
+    environment: str, model: PEMIRLModel, demonstrations: DemonstrationDataset, path: Path
 ) -> None:
-    """r(s, m) of four unseen tasks beside the true reward, on the dynamics of adaptation.
+    """r(s, m) of four unseen tasks beside the true reward, on the dynamics of ``environment``.
 
     The tasks are those nearest to four goals spread evenly over the range of the test goals.
     """
-    layout = pemirl_envs.layout(config.test_environment)
+    layout = pemirl_envs.layout(environment)
     goals = demonstrations.tasks()["goal"]
     x = goals[:, 0]
     wanted = torch.linspace(float(x.min()), float(x.max()), 4)
@@ -47,16 +46,10 @@ def draw_reward_maps(
 
 
 def draw_learning_curve(
-    config: DictConfig, runs: Mapping[str, Path], scores: Sequence[Score], path: Path
+    curves: Mapping[str, Sequence[Sequence[float]]], scores: Sequence[Score], path: Path
 ) -> None:
-    """True return over environment steps, of meta-training and of adaptation."""
-    series = {}
-    for stage, run in runs.items():
-        file = run / "curves" / f"{stage}.json"
-        if file.exists():
-            steps, values = zip(*json.loads(file.read_text(encoding="utf-8")), strict=True)
-            env = config.test_environment if stage == "adaptation" else config.environment
-            series[f"{stage} on {env}"] = [(steps, values)]
+    """True return over environment steps, by stage; empty curves are left out."""
+    series = {label: [tuple(zip(*curve, strict=True))] for label, curve in curves.items() if curve}
     references = {f"expert on {s.variant}": s.expert for s in scores if s.goals == "all"}
     figure = learning_curve(
         series,

@@ -1,11 +1,12 @@
-"""The generated parts of the pages, from the results files and ``pages.yaml``.
+"""The generated parts of the pages, from the results files and ``docs/pages.yaml``.
 
-    python recipes/report.py            # print them
-    python recipes/report.py --write    # put them between the pages' markers, and draw the figures
-    python recipes/report.py --check    # fail if a page is not what the results files give
+    pemirl report            # print them
+    pemirl report --write    # put them between the pages' markers, and draw the figures
+    pemirl report --check    # fail if a page is not what the results files give
 
 A part named ``headline`` stands between ``<!-- headline:begin -->`` and ``<!-- headline:end -->``;
-what is around the markers is written by hand. What a part shows is data: see ``pages.yaml``.
+what is around the markers is written by hand. What a part shows is data: see ``docs/pages.yaml``;
+what rows are called stands in their tables.
 """
 
 from __future__ import annotations
@@ -21,16 +22,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmark_tables import benchmark_parts
-from config import plain, typed
 from matplotlib.figure import Figure
 from omegaconf import OmegaConf
 
-from pemirl_trl.evaluation import Result, read_all
-from pemirl_trl.evaluation.comparison import interval_plot, stage_curves
-from pemirl_trl.evaluation.convergence import Stage, convergence_table
-from pemirl_trl.evaluation.figures import save_figure
-from pemirl_trl.evaluation.tables import (
+from pemirl_lab.pages.benchmark_tables import benchmark_parts
+from pemirl_lab.pages.comparison import interval_plot, stage_curves
+from pemirl_lab.pages.convergence import Stage, convergence_table
+from pemirl_lab.pages.figures import save_figure
+from pemirl_lab.pages.tables import (
     Column,
     by_seed,
     cost_table,
@@ -41,9 +40,13 @@ from pemirl_trl.evaluation.tables import (
     scores_of,
     seeds_table,
 )
+from pemirl_lab.results import Result, read_all
+from pemirl_lab.runs.composition import plain
+from pemirl_lab.runs.places import CHECKOUT
+from pemirl_lab.runs.tables import read_table, table_names
+from pemirl_lab.runs.validation import typed
 from pemirl_trl.files import atomic_path
 
-ROOT = Path(__file__).resolve().parent.parent
 Rows = Mapping[str, str]
 Drawing = partial[Figure]
 """A figure that is drawn when it is called: only ``--write`` needs it."""
@@ -138,13 +141,13 @@ where there are no results. A figure's options have its ``file`` besides."""
 
 
 def generate(root: Path) -> Pages:
-    """Everything that ``recipes/pages.yaml`` asks for, from the files below ``results``.
+    """Everything that ``docs/pages.yaml`` asks for, from the files below ``results``.
 
     Raises:
         ValueError: a wrong specification or result; says where.
     """
-    values = plain(OmegaConf.load(root / "recipes/pages.yaml"))  # type: ignore[arg-type]
-    pages, labels = Pages(), values["labels"]
+    values = plain(OmegaConf.load(root / "docs/pages.yaml"))  # type: ignore[arg-type]
+    pages, labels = Pages(), row_labels() | values.get("labels", {})
     tables = {name: _read_table(root, name) for name in values["tables"]}
     for page, parts in values["pages"].items():
         pages.parts[page] = {}
@@ -156,6 +159,12 @@ def generate(root: Path) -> Pages:
     for page, names in values.get("benchmarks", {}).items():
         pages.parts.setdefault(page, {}).update(benchmark_parts(root / "results/benchmarks", names))
     return pages
+
+
+def row_labels() -> dict[str, str]:
+    """What the rows of all tables are called, by name."""
+    tables = (read_table(name) for name in table_names())
+    return {name: row.label for table in tables for name, row in table.rows.items()}
 
 
 def _read_table(root: Path, table: str) -> list[Result]:
@@ -262,26 +271,24 @@ def write(root: Path, pages: Pages) -> None:
         save_figure(draw(), root / file)
 
 
-def main() -> None:
+def main(arguments: Sequence[str]) -> None:
     """Entry point."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--root", type=Path, default=ROOT, help="of the repository")
+    parser = argparse.ArgumentParser("pemirl report", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--root", type=Path, default=CHECKOUT, help="of the repository")
     action = parser.add_mutually_exclusive_group()
     action.add_argument("--write", action="store_true", help="into the pages, and draw figures")
     action.add_argument("--check", action="store_true", help="fail if a page is out of date")
-    arguments = parser.parse_args()
-    pages = generate(arguments.root)
-    if arguments.write:
-        write(arguments.root, pages)
-    elif arguments.check:
-        wrong = stale(arguments.root, pages)
+    given = parser.parse_args(arguments)
+    if not (given.root / "docs/pages.yaml").is_file():
+        parser.error(f"{given.root} is no checkout of the repository: it has no docs/pages.yaml")
+    pages = generate(given.root)
+    if given.write:
+        write(given.root, pages)
+    elif given.check:
+        wrong = stale(given.root, pages)
         if wrong:
-            sys.exit("\n".join([*wrong, "python recipes/report.py --write mends that"]))
+            sys.exit("\n".join([*wrong, "pemirl report --write mends that"]))
     else:
         for page, parts in pages.parts.items():
             for part, text in parts.items():
                 sys.stdout.write(f"--- {page}: {part}\n{text}\n")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,7 +1,7 @@
 """Markdown tables of results: named configurations down, what was measured across.
 
 Every table takes the results of one comparison (one ``table`` and ``split`` of
-:class:`~pemirl_trl.evaluation.results.Result`), shows a measured number as its interquartile mean
+:class:`~pemirl_lab.results.Result`), shows a measured number as its interquartile mean
 over seeds with a 95 % bootstrap interval (no interval for one seed), what was not measured as "–",
 and is empty where no row has results.
 """
@@ -14,7 +14,7 @@ import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from pemirl_trl.evaluation.results import Result, Score, normalised_return
+from pemirl_lab.results import Result, Score, normalised_return
 from pemirl_trl.evaluation.statistics import (
     Interval,
     iqm,
@@ -47,7 +47,7 @@ class Column:
     """What is measured, and what a paper says of it.
 
     Args:
-        setting, variant, goals: of the :class:`~pemirl_trl.evaluation.results.Score`.
+        setting, variant, goals: of the :class:`~pemirl_lab.results.Score`.
         label: heading; made of the three by default.
         paper: published ``(mean, standard deviation)`` by row, also of ``expert`` and ``random``.
     """

@@ -1,4 +1,4 @@
-"""One folder per run: resolved configuration, versions, metrics, checkpoints, figures."""
+"""One folder per run: configuration, versions, inputs, metrics, checkpoints, figures."""
 
 from __future__ import annotations
 
@@ -6,21 +6,25 @@ import contextlib
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
-from config import plain
-from omegaconf import DictConfig, OmegaConf
+import yaml
+from filelock import FileLock, Timeout
 from torchrl.record.loggers import Logger, get_logger
 from tqdm import tqdm
 
+from pemirl_lab.results import environment_facts
+from pemirl_lab.runs.metrics import forget_from
+from pemirl_lab.runs.settings import Settings
 from pemirl_trl.checkpoint import TrainingCheckpoint
-from pemirl_trl.evaluation import environment_facts
-from pemirl_trl.files import atomic_path
+from pemirl_trl.files import atomic_path, file_digest
 from pemirl_trl.methods import train
 from pemirl_trl.methods.loop import Method, Metrics
+
+FREE = ("threads", "logger", "checkpoint_every")
+"""Settings that a run may be resumed with other values of: its results do not depend on them."""
 
 
 class RunFolder:
@@ -30,39 +34,59 @@ class RunFolder:
     their files, the stage at hand continues from its last checkpoint.
 
     Args:
-        config: resolved; has ``run_dir``, ``seed``, ``logger`` and ``checkpoint_every``.
+        path: the folder.
+        record: what the run is: its resolved configuration.
+        logger: of the metrics: ``"csv"``, ``"tensorboard"`` or None.
+        checkpoint_every: iterations.
 
     Raises:
-        ValueError: the folder holds a run of another configuration.
+        ValueError: the folder holds a run of another configuration, or another process is at work
+            in it.
     """
 
-    def __init__(self, config: DictConfig) -> None:
-        self.config = config
-        self.path = Path(config.run_dir)
+    def __init__(
+        self, path: str | Path, record: Mapping[str, Any], *, logger: str | None, checkpoint_every: int
+    ) -> None:
+        self.path = Path(path).expanduser()
+        self.checkpoint_every = checkpoint_every
         self.seconds: dict[str, float] = {}
-        self._claim(plain(config))
-        # One thread: sums of floats depend on how many share them, so this makes a run's results
-        # those of its seed, whatever ``threads`` gives the simulator. More would gain little here,
-        # and on a busy machine they spin.
-        torch.set_num_threads(1)
+        self.standing = "it had not begun to train"
+        self._lock = _lock(self.path)
+        self._claim(dict(record))
+        self._kind = logger
         self._logger: Logger | None = get_logger(
-            config.logger, logger_name=str(self.path), experiment_name="metrics"
+            logger, logger_name=str(self.path), experiment_name="metrics"
+        )
+
+    @classmethod
+    def of(cls, settings: Settings) -> RunFolder:
+        """The folder that a command's settings name."""
+        return cls(
+            settings.run_dir,
+            settings.resolved,
+            logger=settings.logger,
+            checkpoint_every=settings.checkpoint_every,
         )
 
     def _claim(self, resolved: dict[str, Any]) -> None:
-        self.path.mkdir(parents=True, exist_ok=True)
         stored = self.path / "config.yaml"
         if stored.exists():
-            previous = plain(OmegaConf.create(OmegaConf.load(stored)))  # type: ignore[arg-type]
-            changed = sorted(k for k in resolved if previous.get(k) != resolved[k])
+            previous = _read_yaml(stored)
+            changed = sorted(
+                k for k in resolved if k not in FREE and previous.get(k) != resolved[k]
+            )
             if changed:
                 raise ValueError(
                     f"{self.path} holds a run with another {', '.join(changed)}: give another "
                     "run_dir, or delete that folder to start anew"
                 )
         with atomic_path(stored) as temporary:
-            OmegaConf.save(OmegaConf.create(resolved), temporary)
+            temporary.write_text(yaml.safe_dump(resolved, sort_keys=False), encoding="utf-8")
         self.write_json("versions.json", environment_facts())
+
+    def release(self) -> None:
+        """Let other processes have the folder."""
+        self._lock.release()
 
     def file(self, name: str) -> Path:
         """A path inside the folder."""
@@ -73,14 +97,34 @@ class RunFolder:
         with atomic_path(self.path / name) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
+    def reads(self, role: str, file: Path) -> Path:
+        """Note that this run reads a file, and return it.
+
+        Raises:
+            ValueError: an earlier part of this run read another content under that role: what it
+                made of it would not belong to what is made now.
+        """
+        inputs = read_json(self.path / "inputs.json")
+        digest = file_digest(file)
+        before = inputs.get(role)
+        if before is not None and before["sha256"] != digest:
+            raise ValueError(
+                f"{file} is not the {role} that the run in {self.path} began with (its content has "
+                f"changed since; it was {before['file']}): give another run_dir, or delete that "
+                "folder to start anew"
+            )
+        if before is None:
+            inputs[role] = {"file": str(file), "sha256": digest}
+            self.write_json("inputs.json", inputs)
+        return file
+
     @contextlib.contextmanager
     def timed(self, stage: str) -> Iterator[Callable[[], None]]:
         """Measure a stage's wall-clock seconds, added up over resumptions.
 
         Yields what records them so far: a process that is killed does not come to the end.
         """
-        file = self.path / "seconds.json"
-        before = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+        before = read_seconds(self.path)
         start = time.perf_counter()
 
         def record() -> None:
@@ -104,12 +148,9 @@ class RunFolder:
         Returns:
             The learning curve: (environment steps, or iterations where there are none; ``show``).
         """
-        curve_file = self.path / "curves" / f"{stage}.json"
-        curve: list[tuple[int, float]] = []
-        if curve_file.exists():
-            curve = [tuple(point) for point in json.loads(curve_file.read_text(encoding="utf-8"))]
+        curve: list[tuple[int, float]] = [(int(x), y) for x, y in read_curve(self.path, stage)]
         checkpoint = TrainingCheckpoint(self.path / "checkpoints" / stage)
-        every = min(self.config.checkpoint_every, method.iterations)
+        every = min(self.checkpoint_every, method.iterations)
         bar = tqdm(total=method.iterations, desc=f"{stage:<14}", unit="it", file=sys.stderr)
         start, steps_at_start = time.perf_counter(), None
 
@@ -119,6 +160,8 @@ class RunFolder:
                 steps_at_start = method.env_steps * (iteration - 1) // iteration
                 bar.update(iteration - 1)
                 del curve[iteration - 1 :]
+                if self._kind == "csv":  # what was logged after the checkpoint is logged anew
+                    forget_from(iteration, self.path / "metrics" / "scalars" / stage)
             curve.append((method.env_steps or iteration, metrics[show]))
             rate = (method.env_steps - steps_at_start) / (time.perf_counter() - start)
             suffix = f", {rate:,.0f} env steps/s" if method.env_steps else ""
@@ -127,6 +170,7 @@ class RunFolder:
             if self._logger is not None:
                 for name, value in metrics.items():
                     self._logger.log_scalar(f"{stage}/{name}", value, step=iteration)
+            self.standing = f"{stage} has done {iteration} of {method.iterations} iterations"
             if iteration % every == 0 or iteration == method.iterations:
                 self.write_json(f"curves/{stage}.json", curve)
                 record_seconds()
@@ -136,6 +180,90 @@ class RunFolder:
         return curve
 
 
+def _lock(folder: Path) -> FileLock:
+    """Held until the process ends; this process may come back to its own folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / ".lock", is_singleton=True)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise ValueError(
+            f"another process is at work in {folder}: wait for it, or give another run_dir"
+        ) from None
+    return lock
+
+
 def say(text: str) -> None:
     """Show the user a line or a table, below the progress bars."""
     tqdm.write(text)
+
+
+# --- what a run left ---------------------------------------------------------------------------
+
+
+def read_json(file: Path) -> dict[str, Any]:
+    """A JSON object; empty where there is no file.
+
+    Raises:
+        ValueError: the file holds something else.
+    """
+    if not file.exists():
+        return {}
+    content = _parsed(file)
+    if not isinstance(content, dict):
+        raise ValueError(f"{file} holds a {type(content).__name__}; expected a JSON object")
+    return content
+
+
+def read_curve(run: Path, stage: str) -> list[list[float]]:
+    """The learning curve of a stage; empty if the run has none.
+
+    Raises:
+        ValueError: the file holds something else than pairs of numbers.
+    """
+    file = run / "curves" / f"{stage}.json"
+    if not file.exists():
+        return []
+    points = _parsed(file)
+    if not isinstance(points, list) or not all(
+        isinstance(p, list) and len(p) == 2 and all(isinstance(x, int | float) for x in p)
+        for p in points
+    ):
+        raise ValueError(f"{file} is damaged: expected a list of [steps, value]")
+    return points
+
+
+def read_seconds(run: Path) -> dict[str, float]:
+    """Wall-clock seconds of a run's stages.
+
+    Raises:
+        ValueError: the file holds something else than numbers by stage.
+    """
+    seconds = read_json(run / "seconds.json")
+    if not all(isinstance(value, int | float) and value >= 0 for value in seconds.values()):
+        raise ValueError(f"{run / 'seconds.json'} is damaged: expected seconds by stage")
+    return seconds
+
+
+def read_run(run: Path) -> dict[str, Any]:
+    """What a run was: its configuration, less where it stood, and the versions it ran with."""
+    stored = _read_yaml(run / "config.yaml")
+    versions = read_json(run / "versions.json")
+    return {k: v for k, v in stored.items() if k not in ("run_dir", "model_file")} | versions
+
+
+def _parsed(file: Path) -> Any:
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{file} is damaged: it is no JSON ({error})") from error
+
+
+def _read_yaml(file: Path) -> dict[str, Any]:
+    try:
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f"{file} is damaged: it is no YAML ({error})") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{file} is damaged: expected the configuration of a run")
+    return content

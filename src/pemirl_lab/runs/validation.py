@@ -1,20 +1,40 @@
-"""From YAML to the library's typed configurations."""
+"""From resolved values to typed configurations; a wrong one is named as the user wrote it."""
 
 from __future__ import annotations
 
-import dataclasses
-import typing
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
-from omegaconf import DictConfig, OmegaConf
+from pydantic import TypeAdapter, ValidationError
 
 Config = TypeVar("Config")
 
 
-def plain(node: DictConfig) -> dict[str, Any]:
-    """A node of YAML as a dictionary, with its interpolations resolved."""
-    return {str(k): v for k, v in OmegaConf.to_container(node, resolve=True).items()}  # type: ignore[union-attr]
+def typed(cls: type[Config], values: Mapping[str, Any], *, at: str = "") -> Config:
+    """Build a (nested) configuration, checking types, ranges, choices and names.
+
+    Args:
+        cls: a dataclass.
+        values: its fields, as YAML has them.
+        at: where they stand in what the user wrote, such as ``"training"``.
+
+    Raises:
+        ValueError: every wrong value, by its whole name, with what is expected.
+    """
+    try:
+        return TypeAdapter(cls).validate_python(dict(values))
+    except ValidationError as error:
+        lines = [_explained(problem, at) for problem in error.errors()]
+        raise ValueError("; ".join(lines)) from None
+
+
+def _explained(problem: Mapping[str, Any], at: str) -> str:
+    name = ".".join(str(part) for part in (*filter(None, [at]), *problem["loc"]))
+    message = problem["msg"].removeprefix("Value error, ")
+    if problem["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+        return f"unknown key {name}"
+    message = message.replace("Input should be", "expected")
+    return f"{name}={problem['input']}: {message}" if problem["loc"] else f"{at or 'run'}: {message}"
 
 
 def changed_settings(
@@ -24,37 +44,18 @@ def changed_settings(
 
     Names that only one of them has are no change: a release adds and drops settings.
     """
-    before = dict(_leaves(stored))
+    before = dict(leaves(stored))
     return [
         f"{name}={before[name]}, now {value}"
-        for name, value in _leaves(now)
+        for name, value in leaves(now)
         if name in before and before[name] != value and name not in ignore
     ]
 
 
-def _leaves(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def leaves(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """All values of a nested mapping, by their dotted names."""
     for key, value in node.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{key}.")
+        if isinstance(value, Mapping) and value:
+            yield from leaves(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
-
-
-def typed(cls: type[Config], node: DictConfig | Mapping[str, Any]) -> Config:
-    """Build a (nested) dataclass from a node of YAML.
-
-    Raises:
-        ValueError: the node has a key that the dataclass lacks; names it and the legal ones.
-    """
-    values: dict[str, Any] = plain(node) if isinstance(node, DictConfig) else dict(node)
-    hints = typing.get_type_hints(cls)
-    legal = [f.name for f in dataclasses.fields(cls)]  # type: ignore[arg-type]
-    unknown = sorted(set(values) - set(legal))
-    if unknown:
-        raise ValueError(f"unknown keys {unknown} for {cls.__name__}; legal are {legal}")
-    return cls(
-        **{
-            name: typed(hints[name], value) if dataclasses.is_dataclass(hints[name]) else value
-            for name, value in values.items()
-        }
-    )
