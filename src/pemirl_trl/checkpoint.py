@@ -86,8 +86,10 @@ def _decode(value: Any, tensors: Mapping[str, Tensor]) -> Any:
             return [_decode(item, tensors) for item in items]
         case {"tuple": items}:
             return tuple(_decode(item, tensors) for item in items)
-        case _:
+        case None | bool() | int() | float() | str():
             return value
+        case _:
+            raise ValueError(f"unknown entry {value!r:.80}")
 
 
 def _read_state(path: Path) -> Any:

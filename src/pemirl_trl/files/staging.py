@@ -159,7 +159,8 @@ def _concerns(named: object, path: Path) -> bool:
     if not isinstance(named, str):
         return True  # a write to an open file names none
     mark = _MARK.search(named)
-    return Path(named) in (path, *path.parents) or (mark is not None and mark[0] in _mine)
+    own = mark is not None and int(mark["process"]) == os.getpid()
+    return own or Path(named) in (path, *path.parents)
 
 
 def _destination(path: str | Path) -> tuple[Path, int | None]:
