@@ -4,17 +4,45 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
+from typing import Any
 
-from pemirl_trl.files import load_weights, read_metadata, save_weights
-from pemirl_trl.modules import ModelConfig, PEMIRLModel
+import torch
+from torch import Tensor
+
+from pemirl_trl.files import (
+    check_fields,
+    load_weights,
+    misfits,
+    parse_json,
+    read_weights,
+    save_weights,
+)
+from pemirl_trl.modules import ModelConfig, PEMIRLModel, Standardize
+
+_SIZES = {"observation_dim": int, "action_dim": int, "horizon": int, "config": dict}
+_CONFIG: dict[str, type | tuple[type, ...]] = {
+    "context_dim": int,
+    "encoder": str,
+    "reward": str,
+    "encoder_hidden": list,
+    "policy_hidden": list,
+    "reward_hidden": list,
+    "reward_gamma": (int, float),
+    "policy_scale": (int, float),
+    "reward_features": (list, type(None)),
+}
 
 
 def save_model(
     path: str | Path, model: PEMIRLModel, metadata: Mapping[str, str] | None = None
 ) -> None:
-    """Write a model, its sizes and ``metadata`` to one safetensors file, atomically."""
+    """Write a model, its sizes and ``metadata`` to one safetensors file, atomically.
+
+    Raises:
+        OSError: it cannot be written; the message names the file and says what to do.
+    """
     sizes = {
         "observation_dim": model.observation_dim,
         "action_dim": model.action_dim,
@@ -28,19 +56,62 @@ def save_model(
 def load_model(path: str | Path) -> PEMIRLModel:
     """Rebuild a model from the file of :func:`save_model`; nothing is unpickled.
 
+    The sizes in the header are compared with the tensors before any network of theirs is made.
+
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file holds something else.
+        ValueError: the file holds something else, is damaged, or contradicts itself.
     """
-    metadata = read_metadata(path)
+    tensors, metadata = read_weights(path)
     if "pemirl_model" not in metadata:
         raise ValueError(f"{path} holds weights {sorted(metadata)}, expected those of a model")
-    sizes = json.loads(metadata["pemirl_model"])
-    model = PEMIRLModel(
+    what = f"the sizes of the model in {path}"
+    sizes = check_fields(parse_json(metadata["pemirl_model"], what), _SIZES, what)
+    optional = [field.name for field in fields(ModelConfig)]  # an older file has fewer
+    check_fields(sizes["config"], _CONFIG, what, optional=optional)
+    _compare(sizes, tensors, path)
+    model = _build(sizes)
+    load_weights(path, {"model": model})
+    return model
+
+
+def _build(sizes: Mapping[str, Any], standardize: Standardize | None = None) -> PEMIRLModel:
+    return PEMIRLModel(
         sizes["observation_dim"],
         sizes["action_dim"],
         sizes["horizon"],
         ModelConfig(**sizes["config"]),
+        standardize,
     )
-    load_weights(path, {"model": model})
-    return model
+
+
+def _compare(sizes: Mapping[str, Any], tensors: Mapping[str, Tensor], path: str | Path) -> None:
+    """Raise ValueError unless ``sizes`` are those of ``tensors``; allocates nothing.
+
+    A network on the device ``meta`` has shapes and no memory. The map of observations is taken
+    from the file: it looks at its values.
+    """
+    hidden = [w for name in _CONFIG if name.endswith("_hidden") for w in sizes["config"][name]]
+    counts = [sizes["observation_dim"], sizes["action_dim"], sizes["horizon"], *hidden]
+    if any(type(count) is not int or count < 1 for count in counts) or len(hidden) > len(tensors):
+        raise ValueError(
+            f"{path} is damaged: its model has the sizes {counts!s:.200}; expected positive "
+            f"ones, and no more than {len(tensors)} layers for as many tensors"
+        )
+    try:
+        standardize = Standardize(
+            tensors["model.standardize.loc"], tensors["model.standardize.scale"]
+        )
+        if standardize.features != sizes["observation_dim"]:
+            raise ValueError(f"its map of observations has {standardize.features} features")
+        with torch.device("meta"):
+            expected = _build(sizes, standardize).state_dict()
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError, RuntimeError) as error:
+        raise ValueError(
+            f"{path} is damaged: no model has its sizes {dict(sizes)!s:.200} ({error})"
+        ) from error
+    if problems := misfits(tensors, {f"model.{key}": value for key, value in expected.items()}):
+        raise ValueError(
+            f"{path} is damaged: its tensors are not those of a model of its sizes: "
+            + "; ".join(problems[:8])
+        )

@@ -1,6 +1,16 @@
 """Demonstrations of the expert, and the policy's own rollouts."""
 
-from pemirl_trl.data.demonstrations import DemonstrationDataset, Provenance
+from pemirl_trl.data.demonstrations import DemonstrationDataset
+from pemirl_trl.data.doctor import Finding, examine
 from pemirl_trl.data.negatives import NEGATIVE_KEYS, Negatives, gather_steps
+from pemirl_trl.data.provenance import Provenance
 
-__all__ = ["NEGATIVE_KEYS", "DemonstrationDataset", "Negatives", "Provenance", "gather_steps"]
+__all__ = [
+    "NEGATIVE_KEYS",
+    "DemonstrationDataset",
+    "Finding",
+    "Negatives",
+    "Provenance",
+    "examine",
+    "gather_steps",
+]

@@ -12,36 +12,16 @@ from numpy.typing import ArrayLike
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 
+from pemirl_trl.data.conversion import narrowed, plain_tensor, task_batch, wide_tensor
+from pemirl_trl.data.demonstration_file import read_demonstrations, write_demonstrations
 from pemirl_trl.data.minari_format import read_minari, write_minari
+from pemirl_trl.data.provenance import Provenance, parse_provenance
 from pemirl_trl.data.validation import check_demonstrations, stack_episodes
-from pemirl_trl.files import read_tensors, write_tensors
+from pemirl_trl.files import check_fields, expanded
 
 __all__ = ["DemonstrationDataset", "Provenance"]
 
-_KIND = "demonstrations"
-_SCHEMA_VERSION = 1
 Index = int | slice | Sequence[int] | Tensor
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """Where demonstrations come from.
-
-    Args:
-        environment: Name of the task that was demonstrated.
-        seed: Seed of the collection.
-        expert_return: Mean return of the expert on the true reward.
-        code_version: Version or commit of the code that collected them.
-        command: The command that did.
-        extra: Anything else, as strings.
-    """
-
-    environment: str = "unknown"
-    seed: int | None = None
-    expert_return: float | None = None
-    code_version: str = "unknown"
-    command: str = "unknown"
-    extra: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +38,8 @@ class DemonstrationDataset:
                                   never enter :meth:`trajectories`, so no learner sees them.
     ============== ============== ==============================================================
 
-    Construction validates; :meth:`from_episodes` takes arrays of any floating or integer dtype.
+    Construction validates, and detaches what carries an autograd graph; :meth:`from_episodes` takes
+    arrays of any floating or integer dtype.
 
     Example:
         >>> import numpy as np
@@ -76,6 +57,10 @@ class DemonstrationDataset:
     task: TensorDictBase | None = None
 
     def __post_init__(self) -> None:
+        for name in ("observation", "action", "task"):
+            value = getattr(self, name)
+            if getattr(value, "requires_grad", False):
+                object.__setattr__(self, name, value.detach())
         self.validate()
 
     def validate(self) -> None:
@@ -165,17 +150,17 @@ class DemonstrationDataset:
             task: ground truth, a mapping of name to ``[M, ...]``.
 
         Raises:
-            ValueError: mixed horizons or dimensions, an off-by-one, NaN; the episodes are named.
+            ValueError: mixed horizons or dimensions, an off-by-one, NaN, something else than real
+                numbers, or a feature that float32 cannot tell apart; the episodes are named.
         """
-        pairs = [
-            (torch.as_tensor(o, dtype=torch.float32), torch.as_tensor(a, dtype=torch.float32))
-            for o, a in episodes
-        ]
+        pairs = [_pair(i, episode) for i, episode in enumerate(episodes)]
         observation, action = stack_episodes(pairs)
-        if task is not None and not isinstance(task, TensorDictBase):
-            values = {name: torch.as_tensor(value) for name, value in task.items()}
-            task = TensorDict(values, batch_size=[len(pairs)])
-        return cls(observation, action, provenance or Provenance(), task)
+        return cls(
+            narrowed("observation", observation),
+            narrowed("action", action),
+            provenance or Provenance(),
+            _task(task, len(pairs)),
+        )
 
     @classmethod
     def from_rollouts(
@@ -194,7 +179,8 @@ class DemonstrationDataset:
             task_key: where the ground truth is; None ignores it.
 
         Raises:
-            ValueError: not ``[M, T]``, an episode that was reset on the way, or whose task changed.
+            ValueError: not ``[M, T]``, an episode that was reset on the way, or whose task changed,
+                or a feature that float32 cannot tell apart.
         """
         if rollouts.ndim != 2:
             raise ValueError(f"rollouts have batch_size {list(rollouts.shape)}; expected [M, T]")
@@ -206,22 +192,21 @@ class DemonstrationDataset:
                 _check_constant("changed their task on the way", value[:, 1:], value[:, :-1])
             task = task[:, 0].clone()
         observation = torch.cat([observation, following[:, -1:]], dim=1)  # [M, T+1, S]
-        return cls(observation.float(), rollouts["action"].float(), provenance, task)
+        observation, action = (
+            narrowed(name, wide_tensor(value, name))
+            for name, value in (("observation", observation), ("action", rollouts["action"]))
+        )
+        return cls(observation, action, provenance, task)
 
     # --- files ---------------------------------------------------------------------------------
 
     def save(self, path: str | Path) -> None:
-        """Write one safetensors file, atomically: tensors, facts about them, provenance."""
-        tensors = {"observation": self.observation, "action": self.action}
-        if self.task is not None:
-            tensors |= {f"task.{k}": v for k, v in self.task.flatten_keys(".").items()}
-        header = {
-            "schema_version": _SCHEMA_VERSION,
-            "episodes": len(self),
-            "horizon": self.horizon,
-            "provenance": asdict(self.provenance),
-        }
-        write_tensors(path, tensors, kind=_KIND, header=header)
+        """Write one safetensors file, atomically: tensors, facts about them, provenance.
+
+        Raises:
+            OSError: it cannot be written; the message names the file and says what to do.
+        """
+        write_demonstrations(path, self.observation, self.action, self.task, self.provenance)
 
     @classmethod
     def load(cls, path: str | Path) -> DemonstrationDataset:
@@ -229,26 +214,15 @@ class DemonstrationDataset:
 
         Raises:
             FileNotFoundError: there is no such file.
-            ValueError: another kind of file, another schema version, a damaged file, or contents
-                that :meth:`validate` rejects.
+            ValueError: another kind of file, another schema version, a damaged file, tensors that
+                are no part of the schema, or contents that :meth:`validate` rejects. The message
+                names the file, and the episodes where some are at fault.
         """
-        tensors, header = read_tensors(path, kind=_KIND)
-        if header["schema_version"] != _SCHEMA_VERSION:
-            raise ValueError(
-                f"{path} has demonstration schema {header['schema_version']}; "
-                f"this version reads schema {_SCHEMA_VERSION}"
-            )
-        observation, action = tensors.pop("observation"), tensors.pop("action")
-        if tuple(action.shape[:2]) != (header["episodes"], header["horizon"]):
-            raise ValueError(
-                f"{path} states {header['episodes']} episodes of {header['horizon']} steps, "
-                f"but its actions are {tuple(action.shape)}"
-            )
-        task = None
-        if tensors:
-            flat = {name.removeprefix("task."): value for name, value in tensors.items()}
-            task = TensorDict(flat, batch_size=[len(action)]).unflatten_keys(".")
-        return cls(observation, action, Provenance(**header["provenance"]), task)
+        observation, action, task, provenance = read_demonstrations(path)
+        try:
+            return cls(observation, action, provenance, task)
+        except ValueError as error:
+            raise ValueError(f"{expanded(path)}: {error}") from error
 
     def to_minari(self, dataset_id: str, **described: Any) -> None:
         """Create the local Minari dataset ``dataset_id``; needs ``pip install pemirl-trl[minari]``.
@@ -266,17 +240,45 @@ class DemonstrationDataset:
 
         Raises:
             ImportError: the ``minari`` extra is not installed.
-            ValueError: its episodes do not share one horizon, or hold something else than vectors.
+            ValueError: its episodes do not share one horizon, hold something else than vectors, or
+                a feature that float32 cannot tell apart.
         """
         episodes, task, metadata = read_minari(dataset_id)
         if metadata is None:
             provenance = Provenance(environment=dataset_id)
         else:
-            provenance = Provenance(**metadata["provenance"])
-        return cls.from_episodes(episodes, provenance, task)
+            what = f"the metadata of {dataset_id}"
+            stored = check_fields(metadata, {"provenance": dict}, what)["provenance"]
+            provenance = parse_provenance(stored, what)
+        try:
+            return cls.from_episodes(episodes, provenance, task)
+        except ValueError as error:
+            raise ValueError(f"{dataset_id}: {error}") from error
 
 
 def _check_constant(what: str, later: Tensor, earlier: Tensor) -> None:
     bad = (later != earlier).flatten(1).any(1).nonzero().flatten().tolist()
     if bad:
         raise ValueError(f"episodes {bad[:5]} {what}; expected one whole episode per row")
+
+
+def _pair(index: int, episode: Any) -> tuple[Tensor, Tensor]:
+    try:
+        observation, action = episode
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"episode {index} is a {type(episode).__name__}; expected a pair (observation, action)"
+        ) from error
+    return (
+        wide_tensor(observation, f"episode {index}: observation"),
+        wide_tensor(action, f"episode {index}: action"),
+    )
+
+
+def _task(
+    task: Mapping[str, ArrayLike] | TensorDictBase | None, episodes: int
+) -> TensorDictBase | None:
+    if task is None or isinstance(task, TensorDictBase):
+        return task
+    values = {name: plain_tensor(value, f"task entry {name!r}") for name, value in task.items()}
+    return task_batch(values, episodes)

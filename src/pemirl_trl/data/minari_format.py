@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
@@ -77,11 +78,11 @@ def write_minari(
 
 def read_minari(
     dataset_id: str,
-) -> tuple[list[tuple[Tensor, Tensor]], TensorDictBase | None, dict[str, Any] | None]:
+) -> tuple[list[tuple[NDArray[Any], NDArray[Any]]], TensorDictBase | None, dict[str, Any] | None]:
     """Read the local Minari dataset ``dataset_id``, written by anyone.
 
     Returns:
-        ``(observation [T+1, S], action [T, A])`` float32 per episode; the task parameters with
+        ``(observation [T+1, S], action [T, A])`` per episode, as stored; the task parameters with
         batch_size ``[M]``, if every episode has some; the metadata of :func:`write_minari`, if any.
 
     Raises:
@@ -96,10 +97,7 @@ def read_minari(
                 f"{dataset_id} has the space {space}; expected Boxes of observations and actions"
             )
     episodes = [
-        (
-            torch.as_tensor(episode.observations, dtype=torch.float32),
-            torch.as_tensor(episode.actions, dtype=torch.float32),
-        )
+        (np.asarray(episode.observations), np.asarray(episode.actions))
         for episode in dataset.iterate_episodes()
     ]
     facts = dataset.storage.get_episode_metadata(dataset.episode_indices)

@@ -8,10 +8,10 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-__all__ = ["check_demonstrations", "stack_episodes"]
+__all__ = ["check_demonstrations", "check_finite", "episode_names", "stack_episodes"]
 
 
-def _episodes(bad: Tensor | Sequence[int]) -> str:
+def episode_names(bad: Tensor | Sequence[int]) -> str:
     """``episode 3`` or ``episodes 0, 3, 7 ... (12 in all)``."""
     indices = [int(i) for i in bad]
     shown = ", ".join(map(str, indices[:5]))
@@ -19,10 +19,13 @@ def _episodes(bad: Tensor | Sequence[int]) -> str:
     return f"episode{'s' if len(indices) > 1 else ''} {shown}{more}"
 
 
-def _check_finite(name: str, value: Tensor) -> None:
+def check_finite(name: str, value: Tensor) -> None:
+    """Raise ValueError, naming the episodes, unless all of ``value`` ``[M, ...]`` is finite."""
     bad = (~torch.isfinite(value)).reshape(len(value), -1).any(1).nonzero().flatten()
     if bad.numel():
-        raise ValueError(f"{name} is NaN or infinite in {_episodes(bad)}; expected finite values")
+        raise ValueError(
+            f"{name} is NaN or infinite in {episode_names(bad)}; expected finite values"
+        )
 
 
 def _check_task(task: TensorDictBase, episodes: int) -> None:
@@ -39,7 +42,7 @@ def _check_task(task: TensorDictBase, episodes: int) -> None:
                 f"task entry {key!r} is a {type(value).__name__}; expected a tensor under names "
                 "without '.' and '/'"
             )
-        _check_finite(f"task entry {key!r}", value)
+        check_finite(f"task entry {key!r}", value)
 
 
 def check_demonstrations(observation: Tensor, action: Tensor, task: TensorDictBase | None) -> None:
@@ -51,6 +54,11 @@ def check_demonstrations(observation: Tensor, action: Tensor, task: TensorDictBa
         task: ground truth with batch_size ``[M]``, or None.
     """
     for name, value, shape in (("observation", observation, "T+1, S"), ("action", action, "T, A")):
+        if not isinstance(value, Tensor):
+            raise ValueError(
+                f"{name} is a {type(value).__name__}; expected a tensor [M, {shape}] "
+                "torch.float32 (from_episodes takes arrays)"
+            )
         if value.ndim != 3 or value.dtype != torch.float32:
             raise ValueError(
                 f"{name} is {tuple(value.shape)} {value.dtype}; expected [M, {shape}] torch.float32"
@@ -67,8 +75,8 @@ def check_demonstrations(observation: Tensor, action: Tensor, task: TensorDictBa
             f"observation {tuple(observation.shape)} and action {tuple(action.shape)} are empty; "
             "expected at least one episode, step and dimension"
         )
-    _check_finite("observation", observation)
-    _check_finite("action", action)
+    check_finite("observation", observation)
+    check_finite("action", action)
     if task is not None:
         _check_task(task, episodes)
 
@@ -87,14 +95,14 @@ def stack_episodes(episodes: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, T
     if flat:
         shapes = [tuple(x.shape) for x in episodes[flat[0]]]
         raise ValueError(
-            f"{_episodes(flat)}: got observation and action of shapes {shapes[0]} and {shapes[1]}; "
-            "expected [T+1, S] and [T, A]"
+            f"{episode_names(flat)}: got observation and action of shapes {shapes[0]} and "
+            f"{shapes[1]}; expected [T+1, S] and [T, A]"
         )
     uneven = [i for i, (o, a) in enumerate(episodes) if len(o) != len(a) + 1]
     if uneven:
         observation, action = episodes[uneven[0]]
         raise ValueError(
-            f"{_episodes(uneven)}: {len(observation)} observations for {len(action)} actions; "
+            f"{episode_names(uneven)}: {len(observation)} observations for {len(action)} actions; "
             "expected T+1 for T, the last one being what the last action led to"
         )
     first = episodes[0]
@@ -104,7 +112,7 @@ def stack_episodes(episodes: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, T
         if odd:
             got = [x.shape[axis] for x in episodes[odd[0]]]
             raise ValueError(
-                f"{_episodes(odd)}: observation and action have {what} {got[0]} and {got[1]}; "
+                f"{episode_names(odd)}: observation and action have {what} {got[0]} and {got[1]}; "
                 f"expected {expected[0]} and {expected[1]} as in episode 0 (one fixed horizon)"
             )
     observations, actions = zip(*episodes, strict=True)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Protocol
 
-from torch import nn
+import torch
+from torch import Tensor, nn
 
 from pemirl_trl.checkpoint import TrainingCheckpoint
 
@@ -62,7 +63,8 @@ def train(
     Args:
         method: the method; its state is loaded in place.
         checkpoint: where to save and resume; None does neither.
-        checkpoint_every: iterations between checkpoints; the last iteration always has one.
+        checkpoint_every: iterations between checkpoints, at least 1; the last iteration always has
+            one.
         on_iteration: called with the iteration (from 1) and its metrics.
         limit: a metric or a weight of larger magnitude counts as exploded.
 
@@ -70,12 +72,21 @@ def train(
         The last iteration's metrics; empty if there was nothing left to do.
 
     Raises:
-        TrainingDiverged: a metric or a weight is not finite or exceeds the limit. Nothing is saved
-            then: the newest checkpoint is the last good one.
+        TrainingDiverged: a metric or a weight is not finite or exceeds the limit, or any floating
+            state that was about to be saved is not finite, an optimiser's included. Nothing is
+            saved then: the newest checkpoint is the last good one.
+        ValueError: ``checkpoint_every`` is less than 1, or the checkpoint is of a longer run.
     """
+    if checkpoint_every < 1:
+        raise ValueError(f"checkpoint_every is {checkpoint_every}; expected at least 1 iteration")
     done = 0
     if checkpoint is not None:
         done = checkpoint.load_latest(method.components()) or 0
+    if done > method.iterations:
+        raise ValueError(
+            f"the checkpoint is of iteration {done}, the method has {method.iterations} "
+            "iterations: give it at least as many, or another checkpoint directory"
+        )
     saved = done
     metrics: Metrics = {}
     for iteration in range(done + 1, method.iterations + 1):
@@ -88,6 +99,7 @@ def train(
             on_iteration(iteration, metrics)
         due = iteration % checkpoint_every == 0 or iteration == method.iterations
         if checkpoint is not None and due:
+            _check_state(method, iteration, last_good)
             checkpoint.save(method.components(), iteration)
             saved = iteration
     return metrics
@@ -114,6 +126,28 @@ def _check(metrics: Metrics, method: Method, iteration: int, limit: float, last_
     for key, component in method.components().items():
         if isinstance(component, nn.Module):
             for name, weight in component.named_parameters():
-                largest = float(weight.detach().abs().max())  # NaN if any is
-                if not largest <= limit:
+                largest = float(weight.detach().abs().max()) if weight.numel() else 0.0
+                if not largest <= limit:  # NaN if any weight is
                     raise TrainingDiverged(f"{key}.{name}", largest, iteration, last_good)
+
+
+def _check_state(method: Method, iteration: int, last_good: str) -> None:
+    """Raise TrainingDiverged if a floating tensor of what is about to be saved is not finite."""
+    for key, component in method.components().items():
+        for name, tensor in _tensors(component.state_dict(), key):
+            if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
+                worst = float(tensor[~torch.isfinite(tensor)][0])
+                raise TrainingDiverged(name, worst, iteration, last_good)
+
+
+def _tensors(state: Any, name: str) -> Iterator[tuple[str, Tensor]]:
+    """Every tensor in nested state, with its path."""
+    match state:
+        case Tensor():
+            yield name, state
+        case Mapping():
+            for key, value in state.items():
+                yield from _tensors(value, f"{name}.{key}")
+        case list() | tuple():
+            for index, value in enumerate(state):
+                yield from _tensors(value, f"{name}.{index}")

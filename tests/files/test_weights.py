@@ -1,27 +1,20 @@
-"""Files are whole or absent, say what they are, and come back as they were written."""
+"""Weights come back as they were saved, into modules that they fit."""
+
+from pathlib import Path
 
 import pytest
 import torch
-from safetensors.torch import save_file
 from torch import nn
 
-from pemirl_trl.files import atomic_path, load_weights, read_tensors, save_weights, write_tensors
+from pemirl_trl.files import (
+    load_weights,
+    read_metadata,
+    read_weights,
+    save_weights,
+    write_tensors,
+)
 
-
-def test_atomic_path_replaces_whole_or_not_at_all(tmp_path):
-    target = tmp_path / "deep" / "a.json"
-    with atomic_path(target) as temporary:
-        temporary.write_text("old")
-
-    def fail_half_way():
-        with atomic_path(target) as temporary:
-            temporary.write_text("half")
-            raise RuntimeError
-
-    with pytest.raises(RuntimeError):
-        fail_half_way()
-    assert target.read_text() == "old"
-    assert [p.name for p in target.parent.iterdir()] == ["a.json"]
+ROOT = Path(__file__).parents[2]
 
 
 def modules():
@@ -73,26 +66,20 @@ def test_a_mismatch_is_named_before_anything_changes(tmp_path, replace, message)
     torch.testing.assert_close(weights_of(target), before, rtol=0, atol=0)
 
 
-def test_wrong_files_say_what_they_are(tmp_path):
-    path = tmp_path / "w.safetensors"
-    with pytest.raises(FileNotFoundError, match="no weights file"):
-        read_tensors(path, kind="weights")
-    path.write_bytes(b"not tensors")
-    with pytest.raises(ValueError, match="not a readable safetensors file"):
-        read_tensors(path, kind="weights")
-    save_file({"x": torch.ones(1)}, path)
-    with pytest.raises(ValueError, match=r"tensors \['x'\], but pemirl_trl did not write it"):
-        read_tensors(path, kind="weights")
-    write_tensors(path, {"x": torch.ones(1)}, kind="demonstrations", header={})
-    with pytest.raises(ValueError, match="holds 'demonstrations'"):
-        read_tensors(path, kind="weights")
+def test_a_file_of_version_1_still_loads():
+    expert = ROOT / "data" / "point_maze_left_expert.safetensors"
+    assert read_metadata(expert)["environment"] == "point_maze/left"
+    tensors, _ = read_weights(expert)
+    assert tensors["policy.module.0.net.log_scale"].shape == (2,)
 
 
-def test_one_flipped_bit_is_noticed(tmp_path):
-    path = tmp_path / "w.safetensors"
-    write_tensors(path, {"x": torch.ones(4)}, kind="weights", header={})
-    content = bytearray(path.read_bytes())
-    content[-1] ^= 1
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match="damaged"):
-        read_tensors(path, kind="weights")
+def test_metadata_other_than_strings_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="'steps' is 3; expected str"):
+        save_weights(tmp_path / "w", modules(), {"steps": 3})
+    assert list(tmp_path.iterdir()) == []
+    write_tensors(tmp_path / "w", {}, kind="weights", header={"metadata": {"steps": 3}})
+    with pytest.raises(ValueError, match=r"metadata of .*/w: 'steps' is 3; expected str"):
+        read_metadata(tmp_path / "w")
+    write_tensors(tmp_path / "w", {}, kind="weights", header={})
+    with pytest.raises(ValueError, match=r"header of .*/w lacks the fields \['metadata'\]"):
+        load_weights(tmp_path / "w", {})

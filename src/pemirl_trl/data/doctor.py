@@ -1,0 +1,266 @@
+"""What is suspicious about demonstrations that are well formed, and what to do about it.
+
+A well-formed dataset can still be one that nobody can learn from: two episodes glued together,
+actions in degrees where radians are meant. Each check below is one function of the dataset; its
+thresholds are far from what the published demonstrations hold, so that a finding is worth a look.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from pemirl_trl.data.demonstrations import DemonstrationDataset
+from pemirl_trl.data.validation import episode_names
+
+__all__ = ["Finding", "examine"]
+
+Severity = Literal["warning", "error"]
+
+FEWEST_EPISODES = 10
+CONSTANT = 1e-6
+"""A feature of no more deviation counts as constant, as in pemirl_trl.modules.Standardize."""
+SCALE_RATIO = 1e3
+"""Deviations that differ by more from their median are of different worlds."""
+OFFSET_RATIO = 1e4
+"""float32 has seven digits: beyond this ratio of mean to deviation fewer than three vary."""
+LARGEST_ACTION, SMALLEST_ACTION = 100.0, 1e-4
+"""Root mean squares of actions that a policy of unit deviation can imitate."""
+OUTSIDE_RMS, OUTSIDE_ONCE, HARDLY_USED = 3.0, 30.0, 1e-3
+"""The same, and single actions, in half-widths of the bounds."""
+JUMP, RESET_STEP = 20.0, 3.0
+"""Steps, relative to the 95th percentile of those that are not zero."""
+RATE_GAP, RATE_EPISODES = 1.4, 10
+"""Two groups of episodes whose step sizes differ by this factor, with no episode in between."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is suspicious.
+
+    Attributes:
+        severity: ``"error"`` if learning from this makes no sense, ``"warning"`` if it may.
+        what: what was found.
+        where: the episodes or features.
+        cure: what to do.
+    """
+
+    severity: Severity
+    what: str
+    where: str
+    cure: str
+
+    def __str__(self) -> str:
+        return f"{self.severity}: {self.what} ({self.where}); {self.cure}"
+
+
+Bounds = tuple[ArrayLike, ArrayLike]
+
+
+def examine(dataset: DemonstrationDataset, action_bounds: Bounds | None = None) -> list[Finding]:
+    """Look for what well-formed demonstrations should not hold; errors first.
+
+    Args:
+        dataset: the demonstrations.
+        action_bounds: lowest and highest action of the environment, numbers or ``[A]``. Policies
+            may exceed them, since an environment clips; far outside is suspicious.
+
+    Raises:
+        ValueError: the bounds are not of the actions' dimension, or the lower is not the lower.
+    """
+    bounds = None if action_bounds is None else _checked_bounds(action_bounds, dataset.action_dim)
+    findings = [finding for check in _CHECKS for finding in check(dataset)]
+    findings += _unbounded_scale(dataset) if bounds is None else _bounded_scale(dataset, *bounds)
+    return sorted(findings, key=lambda finding: finding.severity != "error")
+
+
+def _checked_bounds(bounds: Bounds, dimension: int) -> tuple[Tensor, Tensor]:
+    low, high = (torch.as_tensor(bound, dtype=torch.float32) for bound in bounds)
+    fits = all(bound.shape in ((), (dimension,)) for bound in (low, high))
+    if not fits or not bool((low < high).all()):
+        raise ValueError(
+            f"action_bounds are {bounds}; expected the lowest and the highest action, numbers or "
+            f"{dimension} of them each"
+        )
+    return low.expand(dimension), high.expand(dimension)
+
+
+def _numbers(chosen: Tensor) -> str:
+    """``feature 3`` or ``features 0, 3`` where ``chosen`` ``[F]`` is true."""
+    return episode_names(chosen.nonzero().flatten()).replace("episode", "feature")
+
+
+def _typical(steps: Tensor) -> Tensor:
+    """95th percentile ``[F]`` of the steps ``[M, T, F]`` that are not zero; infinity if all are."""
+    values = []
+    for column in steps.flatten(0, 1).unbind(-1):
+        moving = column[column > 0]
+        values.append(
+            moving.kthvalue(1 + int(0.95 * (len(moving) - 1))).values
+            if len(moving)
+            else column.new_tensor(torch.inf)
+        )
+    return torch.stack(values)
+
+
+def _varying(dataset: DemonstrationDataset) -> Tensor:
+    """Observations ``[M, T+1, F]`` of the features that vary, in deviations."""
+    deviation = dataset.observation.double().flatten(0, 1).std(0, correction=0)
+    varies = deviation > CONSTANT
+    return dataset.observation.double()[..., varies] / deviation[varies]
+
+
+# --- checks ------------------------------------------------------------------------------------
+
+
+def _few(dataset: DemonstrationDataset) -> Iterator[Finding]:
+    if len(dataset) < FEWEST_EPISODES:
+        cure = f"collect at least {FEWEST_EPISODES}; the paper has several of each of 100 tasks"
+        yield Finding("warning", "few demonstrations", f"{len(dataset)} in all", cure)
+
+
+def _constant(dataset: DemonstrationDataset) -> Iterator[Finding]:
+    for name, values in (("observation", dataset.observation), ("action", dataset.action)):
+        flat = values.double().flatten(0, 1).std(0, correction=0) <= CONSTANT
+        if flat.any():
+            cure = "leave it out, unless it varies elsewhere"
+            yield Finding("warning", f"{name} is constant", _numbers(flat), cure)
+
+
+def _badly_scaled(dataset: DemonstrationDataset) -> Iterator[Finding]:
+    rows = dataset.observation.double().flatten(0, 1)
+    deviation = rows.std(0, correction=0)
+    varies = deviation > CONSTANT
+    if not varies.any():
+        return
+    ratio = deviation / deviation[varies].median()
+    odd = varies & ((ratio > SCALE_RATIO) | (ratio < 1 / SCALE_RATIO))
+    if odd.any():
+        what = f"observation varies by {SCALE_RATIO:g} times more or less than its median feature"
+        yield Finding("warning", what, _numbers(odd), "choose units in which features are alike")
+    shifted = varies & (rows.mean(0).abs() > OFFSET_RATIO * deviation)
+    if shifted.any():
+        what = "observation hardly varies beside its mean, which costs digits in float32"
+        yield Finding("warning", what, _numbers(shifted), "subtract the mean before float32")
+
+
+def _duplicates(dataset: DemonstrationDataset) -> Iterator[Finding]:
+    first: dict[bytes, int] = {}
+    repeated = []
+    for index, (observation, action) in enumerate(
+        zip(dataset.observation, dataset.action, strict=True)
+    ):
+        content = b"".join(x.contiguous().cpu().numpy().tobytes() for x in (observation, action))
+        if first.setdefault(content, index) != index:
+            repeated.append(index)
+    if repeated:
+        where = f"{episode_names(repeated)}, equal to earlier ones"
+        yield Finding("warning", "duplicated demonstrations", where, "keep one of each")
+
+
+def _off_by_one(dataset: DemonstrationDataset) -> Iterator[Finding]:
+    """Padding at an end of every episode, where the step beside it is none."""
+    still = (dataset.observation.diff(dim=1) == 0).all(-1)  # [M, T]
+    idle = (dataset.action == 0).all(-1)  # [M, T]
+    if dataset.horizon < 3:
+        return
+    for pattern, what in ((idle, "action is all zero"), (still, "step changes nothing")):
+        for end, beside, name in ((-1, -2, "last"), (0, 1, "first")):
+            if pattern[:, end].all() and pattern[:, beside].double().mean() < 0.5:
+                yield Finding(
+                    "error",
+                    f"the {name} {what}, as if padded or misaligned by one",
+                    "every episode",
+                    "pair each action with the observation it was chosen at, and cut the padding",
+                )
+
+
+def _resets(dataset: DemonstrationDataset) -> Iterator[Finding]:
+    """Large steps from outside the box of initial observations to its inside."""
+    observation = _varying(dataset)
+    if not observation.numel():
+        return
+    start = observation[:, 0]
+    margin = 0.05  # deviations
+    inside = (
+        (observation >= start.amin(0) - margin) & (observation <= start.amax(0) + margin)
+    ).all(-1)  # [M, T+1]
+    steps = observation.diff(dim=1).abs()
+    large = (steps > RESET_STEP * _typical(steps)).any(-1)  # [M, T]
+    reset = large & ~inside[:, :-1] & inside[:, 1:]
+    if reset.any():
+        episodes = reset.any(1).nonzero().flatten()
+        first = int(reset[episodes[0]].nonzero()[0])
+        where = f"{episode_names(episodes)}; in episode {int(episodes[0])} after step {first}"
+        yield Finding("error", "reset inside an episode", where, "cut the episodes there")
+
+
+def _jumps(dataset: DemonstrationDataset) -> Iterator[Finding]:
+    steps = dataset.observation.double().diff(dim=1).abs()  # [M, T, S]
+    jump = steps > JUMP * _typical(steps)
+    if jump.any():
+        episodes = jump.any(2).any(1).nonzero().flatten()
+        where = f"{_numbers(jump.any(0).any(0))} in {episode_names(episodes)}"
+        cure = "look for lost or glued recordings, outliers, and angles that wrap around"
+        yield Finding("warning", f"a step more than {JUMP:g} times the usual", where, cure)
+
+
+def _mixed_rates(dataset: DemonstrationDataset) -> Iterator[Finding]:
+    if len(dataset) < RATE_EPISODES:
+        return
+    steps = _varying(dataset).diff(dim=1).square().mean((1, 2)).sqrt()  # [M]
+    order = steps.argsort()
+    ordered = steps[order]
+    inner = ordered[1:-2].clamp(min=1e-12)  # two episodes at least on either side
+    ratios = ordered[2:-1] / inner
+    if ratios.numel() and float(ratios.max()) > RATE_GAP:
+        split = int(ratios.argmax()) + 2
+        fewer = order[:split] if split <= len(order) // 2 else order[split:]
+        yield Finding(
+            "warning",
+            f"two groups of episodes, whose steps differ by a factor of {float(ratios.max()):.2g} "
+            "or more, as if sampled at different rates",
+            f"the smaller group: {episode_names(fewer.sort().values)}",
+            "resample to one rate",
+        )
+
+
+def _unbounded_scale(dataset: DemonstrationDataset) -> Iterator[Finding]:
+    scale = dataset.action.double().square().mean((0, 1)).sqrt()
+    odd = (scale > LARGEST_ACTION) | ((scale < SMALLEST_ACTION) & (scale > 0))
+    if odd.any():
+        worst = ", ".join(f"{float(s):.2g}" for s in scale[odd][:5])
+        cure = "divide actions by their bounds: policies start with a deviation near 1"
+        yield Finding("warning", f"actions of scale {worst}", _numbers(odd), cure)
+
+
+def _bounded_scale(dataset: DemonstrationDataset, low: Tensor, high: Tensor) -> Iterator[Finding]:
+    relative = (dataset.action.cpu() - (low + high) / 2) / ((high - low) / 2)  # [M, T, A]
+    scale = relative.double().square().mean((0, 1)).sqrt()
+    outside = (scale > OUTSIDE_RMS) | (relative.abs().amax((0, 1)) > OUTSIDE_ONCE)
+    if outside.any():
+        episodes = (relative.abs() > OUTSIDE_RMS).any(2).any(1).nonzero().flatten()
+        where = f"{_numbers(outside)} in {episode_names(episodes)}"
+        cure = "check the units of actions and bounds"
+        yield Finding("error", "actions far outside their bounds", where, cure)
+    unused = (scale < HARDLY_USED) & (scale > 0)
+    if unused.any():
+        cure = "check the units of actions and bounds"
+        yield Finding("warning", "actions that hardly use their bounds", _numbers(unused), cure)
+
+
+_CHECKS: tuple[Callable[[DemonstrationDataset], Iterator[Finding]], ...] = (
+    _off_by_one,
+    _resets,
+    _few,
+    _duplicates,
+    _constant,
+    _badly_scaled,
+    _jumps,
+    _mixed_rates,
+)

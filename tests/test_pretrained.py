@@ -1,0 +1,106 @@
+"""A model's file is compared with itself before a network is built."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from pemirl_trl.files import read_weights, save_weights, write_tensors
+from pemirl_trl.modules import ModelConfig, PEMIRLModel
+from pemirl_trl.pretrained import load_model, save_model
+
+GOLDEN = Path(__file__).parent / "golden" / "file_version_1"
+SIZES = {"context_dim": 2, "encoder_hidden": (5,), "policy_hidden": (4,), "reward_hidden": (3,)}
+
+
+def small():
+    return PEMIRLModel(3, 2, 4, ModelConfig(**SIZES))
+
+
+def save_with(path, change):
+    """A whole file whose stated sizes are changed."""
+    save_model(path, small())
+    tensors, metadata = read_weights(path)
+    sizes = json.loads(metadata["pemirl_model"])
+    changed = change(sizes)
+    text = changed if isinstance(changed, str) else json.dumps(changed)
+    header = {"metadata": {"pemirl_model": text}}
+    write_tensors(path, tensors, kind="weights", header=header)
+
+
+def config(**changed):
+    return lambda sizes: {**sizes, "config": {**sizes["config"], **changed}}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda s: {**s, "horizon": 10**9}, "not those of a model of its sizes"),
+        (lambda s: {**s, "horizon": 0}, "expected positive"),
+        (lambda s: {**s, "observation_dim": 10**12}, "map of observations has 3 features"),
+        (lambda s: {**s, "action_dim": 2.0}, "'action_dim' is 2.0; expected int"),
+        (lambda s: {**s, "action_dim": True}, "'action_dim' is True; expected int"),
+        (lambda s: {k: v for k, v in s.items() if k != "horizon"}, r"lacks the fields \['horizon'"),
+        (config(encoder_hidden=[60_000, 60_000]), "not those of a model of its sizes"),
+        (config(policy_hidden=[4] * 100_000), "no more than 26 layers"),
+        (config(policy_hidden=["4"]), "expected positive"),
+        (config(context_dim=-1), "damaged"),
+        (config(context_dim=10**30), "damaged"),
+        (config(encoder="rnn"), "unknown encoder 'rnn'"),
+        (config(reward_features=[7]), "reward_features is"),
+        (config(reward_features=["a"]), "damaged"),
+        (config(depth=2), r"unknown ones \['depth'\]"),
+        (lambda s: "{", "not JSON"),
+        (lambda s: [], "is a list"),
+    ],
+)
+def test_sizes_that_are_not_the_tensors_are_refused_before_anything_is_built(
+    tmp_path, change, message, monkeypatch
+):
+    path = tmp_path / "model"
+    save_with(path, change)
+    build = PEMIRLModel.__init__
+
+    def on_no_device(self, *arguments):
+        assert torch.empty(0).device.type == "meta"
+        build(self, *arguments)
+
+    monkeypatch.setattr(PEMIRLModel, "__init__", on_no_device)
+    with pytest.raises(ValueError, match=message) as raised:
+        load_model(path)
+    assert str(path) in str(raised.value)
+
+
+def test_the_comparison_draws_no_random_numbers(tmp_path):
+    save_model(tmp_path / "model", small())
+    torch.manual_seed(3)
+    small()
+    expected = torch.rand(1)
+    torch.manual_seed(3)
+    load_model(tmp_path / "model")
+    assert torch.equal(torch.rand(1), expected)
+
+
+def test_a_model_of_file_version_1_still_loads():
+    model = load_model(GOLDEN / "model.safetensors")
+    assert (model.observation_dim, model.action_dim, model.horizon) == (3, 2, 4)
+    assert model.config.context_dim == 2
+    tensors, metadata = read_weights(GOLDEN / "model.safetensors")
+    assert metadata["task"] == "toy"
+    for name, value in model.state_dict().items():
+        assert torch.equal(value, tensors[f"model.{name}"])
+
+
+def test_an_older_config_with_fewer_fields_still_loads(tmp_path):
+    def without_features(sizes):
+        return {**sizes, "config": {k: sizes["config"][k] for k in SIZES}}
+
+    save_with(tmp_path / "model", without_features)
+    assert load_model(tmp_path / "model").config.reward_features is None
+
+
+def test_weights_of_something_else_are_refused(tmp_path):
+    save_weights(tmp_path / "w", {"net": torch.nn.Linear(1, 1)}, {"task": "toy"})
+    with pytest.raises(ValueError, match=r"/w holds weights \['task'\], expected those of a model"):
+        load_model(tmp_path / "w")
