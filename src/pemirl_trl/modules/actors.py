@@ -169,6 +169,7 @@ class ContextValue(TensorDictModuleBase):
         hidden, activation: of the network.
         standardize: map of observations; by default none.
         context_key: where m stands.
+        value_key: where V is written.
 
     Example:
         >>> import torch
@@ -191,6 +192,7 @@ class ContextValue(TensorDictModuleBase):
         activation: type[nn.Module] = nn.Tanh,
         standardize: Standardize | None = None,
         context_key: NestedKey = "context",
+        value_key: NestedKey = "state_value",
     ) -> None:
         net = MLP(
             in_features=observation_dim + context_dim + 1,
@@ -204,7 +206,7 @@ class ContextValue(TensorDictModuleBase):
         )
         self.observation_key: NestedKey = "observation"
         self.context_key = context_key
-        self.value_key: NestedKey = "state_value"
+        self.value_key = value_key
         self.in_keys: list[NestedKey] = [self.observation_key, self.context_key]
         self.out_keys: list[NestedKey] = [self.value_key]
 
