@@ -119,6 +119,11 @@ class ContextPolicy(ProbabilisticActor):
         self.loc_key, self.scale_key, self.action_key = "loc", "scale", "action"
 
     @property
+    def log_prob_key(self) -> NestedKey:
+        """Where log pi is written."""
+        return self[-1].log_prob_key
+
+    @property
     def gaussian(self) -> _GaussianNet:
         """The network of mean and deviation."""
         return self.module[0].net
