@@ -69,7 +69,8 @@ class ContextPolicy(ProbabilisticActor):
         >>> import torch
         >>> from tensordict import TensorDict
         >>> policy = ContextPolicy(observation_dim=6, action_dim=2, context_dim=3)
-        >>> batch = TensorDict({"observation": torch.randn(4, 6), "context": torch.randn(4, 3)}, [4])
+        >>> states, m = torch.randn(4, 6), torch.randn(4, 3)
+        >>> batch = TensorDict({"observation": states, "context": m}, [4])
         >>> policy(batch)["action"].shape
         torch.Size([4, 2])
         >>> policy.get_dist(batch).log_prob(batch["action"]).shape
@@ -206,9 +207,7 @@ class ContextValue(TensorDictModuleBase):
             activation_class=activation,
         )
         super().__init__()
-        self.module = _ValueNet(
-            net, standardize or Standardize.identity(observation_dim), horizon
-        )
+        self.module = _ValueNet(net, standardize or Standardize.identity(observation_dim), horizon)
         self.observation_key: NestedKey = "observation"
         self.context_key = context_key
         self.value_key = value_key

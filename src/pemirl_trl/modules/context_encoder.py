@@ -106,9 +106,7 @@ class _GaussianContext(ProbabilisticTensorDictSequential):
     ) -> None:
         loc_key, scale_key = "context_loc", "context_scale"
         super().__init__(
-            DirectModule(
-                net, in_keys, [loc_key, scale_key], optional, reader=type(self).__name__
-            ),
+            DirectModule(net, in_keys, [loc_key, scale_key], optional, reader=type(self).__name__),
             ProbabilisticTensorDictModule(
                 in_keys={"loc": loc_key, "scale": scale_key},
                 out_keys=[context_key],

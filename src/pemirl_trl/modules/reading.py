@@ -28,6 +28,7 @@ WRITERS: dict[NestedKey, str] = {
     "policy.get_dist(batch).log_prob(action)",
     "next_observation": _ENVIRONMENT,
     ("next", "observation"): _ENVIRONMENT,
+    ("next", "reward"): "environments write it; a reward network alone can be called on the batch",
     "advantage": "FiniteHorizonAdvantage writes it: call it on the rollouts [N, T] first",
     "value_target": "FiniteHorizonAdvantage writes it: call it on the rollouts [N, T] first",
     "is_expert": "set it, True for the transitions of the expert",

@@ -47,7 +47,8 @@ class DiscriminatorLoss(KeyedLoss):
     Example:
         >>> from torch import randn, tensor
         >>> from tensordict import TensorDict
-        >>> loss = DiscriminatorLoss(AIRLDiscriminator(ShapedReward(observation_dim=6, context_dim=3)))
+        >>> reward = ShapedReward(observation_dim=6, context_dim=3)
+        >>> loss = DiscriminatorLoss(AIRLDiscriminator(reward))
         >>> batch = TensorDict(
         ...     {
         ...         "observation": randn(4, 6),

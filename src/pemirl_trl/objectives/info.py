@@ -22,8 +22,8 @@ class InfoLoss(KeyedLoss):
     r"""The mutual information L_info = E log q_psi(m|tau) over the policy's rollouts, two losses.
 
     - ``loss_info_encoder`` = -mean log q_psi(m|tau), with m the context that produced the rollout,
-      as data: its gradient reaches psi alone (Equation 7 of Yu, Yu, Finn and Ermon, 2019, "Meta-Inverse
-      Reinforcement Learning with Probabilistic Context Variables", arXiv:1909.09314);
+      as data: its gradient reaches psi alone (Equation 7 of Yu, Yu, Finn and Ermon, 2019,
+      "Meta-Inverse Reinforcement Learning with Probabilistic Context Variables", arXiv:1909.09314);
     - ``loss_info_reward``: its gradient reaches theta (and phi) alone and is an unbiased estimate
       of minus Lemma 2, Cov(log q, grad R_theta) within each context; see
       :func:`pemirl_trl.functional.info_reward_loss`.

@@ -50,7 +50,8 @@ class TRPOLoss(KeyedLoss):
         >>> import torch
         >>> from pemirl_trl import ContextPolicy
         >>> policy = ContextPolicy(observation_dim=6, action_dim=2, context_dim=3)
-        >>> batch = TensorDict({"observation": torch.randn(4, 6), "context": torch.randn(4, 3)}, [4])
+        >>> states, m = torch.randn(4, 6), torch.randn(4, 3)
+        >>> batch = TensorDict({"observation": states, "context": m}, [4])
         >>> with torch.no_grad():
         ...     batch = policy(batch)  # as a collector does
         >>> losses = TRPOLoss(policy)(batch.set("advantage", torch.randn(4, 1)))
@@ -146,7 +147,7 @@ def _has_entropy(policy: ProbabilisticTensorDictSequential) -> bool:
 
 
 def _kl(old: Distribution, new: Distribution) -> Tensor:
-    """KL(old || new); a bijection of both leaves it as it is, so that of tanh-Gaussians is known."""
+    """KL(old || new), ``[...]``; of tanh-Gaussians that of their Gaussians: tanh is a bijection."""
     if isinstance(old, TanhNormal) and isinstance(new, TanhNormal):
         for bound in ("low", "high"):
             of_old, of_new = getattr(old, bound), getattr(new, bound)

@@ -32,9 +32,10 @@ AdvantageGroup = Literal["batch", "context"]
 
 
 class ValueLoss(KeyedLoss):
-    """The value's regression: ``loss_value`` = mean (V(s, m, t) - target)^2, in squared reward units.
+    """The value's regression: ``loss_value`` = mean (V(s, m, t) - target)^2.
 
-    The target is :class:`FiniteHorizonAdvantage`'s ``value_target`` ``[..., 1]``, as data.
+    The target is :class:`FiniteHorizonAdvantage`'s ``value_target`` ``[..., 1]``, as data; the loss
+    is in squared units of the reward.
 
     Args:
         value: writes V ``[..., 1]`` where its ``value_key`` says, by default ``state_value``.
@@ -121,9 +122,9 @@ class FiniteHorizonAdvantage:
     units, and so is the advantage before it is standardised. The baseline is a value network, or,
     with ``value=None``, the linear one of Duan, Chen, Houthooft, Schulman and Abbeel (2016),
     "Benchmarking Deep Reinforcement Learning for Continuous Control", arXiv:1604.06778, fitted in
-    closed form to the returns of each context's own batch of rollouts on (s, s^2, t, t^2, t^3, 1). The return of
-    their mean reward is taken out before the fit and added after it, so that a constant in the
-    reward leaves advantages as they are. Where a context has few more transitions than these
+    closed form to the returns of each context's own batch of rollouts on (s, s^2, t, t^2, t^3, 1).
+    The return of their mean reward is taken out before the fit and added after it, so that a
+    constant in the reward leaves advantages as they are. Where a context has few more transitions than these
     2 S + 4 features, the fit would interpolate: use a network.
 
     Args:
