@@ -124,8 +124,8 @@ class FiniteHorizonAdvantage:
     "Benchmarking Deep Reinforcement Learning for Continuous Control", arXiv:1604.06778, fitted in
     closed form to the returns of each context's own batch of rollouts on (s, s^2, t, t^2, t^3, 1).
     The return of their mean reward is taken out before the fit and added after it, so that a
-    constant in the reward leaves advantages as they are. Where a context has few more transitions than these
-    2 S + 4 features, the fit would interpolate: use a network.
+    constant in the reward leaves advantages as they are. Where a context has few more transitions
+    than these 2 S + 4 features, the fit would interpolate: use a network.
 
     Args:
         gamma: discount per step.
