@@ -155,3 +155,33 @@ def test_the_value_loss_is_a_mean_square_under_any_name_of_the_value():
         FiniteHorizonAdvantage(value=value)(batch.copy()) for value in (network, renamed)
     )
     assert torch.equal(first["advantage"], second["advantage"])
+
+
+@pytest.mark.parametrize("value", [None, networks().value])
+def test_a_batch_that_has_lost_its_time_is_refused(value):
+    with pytest.raises(ValueError, match=r"whole rollouts \[N, T\].*got reward \[24, 1\]"):
+        FiniteHorizonAdvantage(value=value)(scored().reshape(-1))
+
+
+@pytest.mark.parametrize(
+    ("value", "key"),
+    [
+        (None, ("next", "reward")),
+        (None, "observation"),
+        (networks().value, "observation"),
+        (networks().value, "context"),
+    ],
+)
+def test_what_a_batch_lacks_is_named(value, key):
+    with pytest.raises(KeyError, match=r"FiniteHorizonAdvantage reads .*which this batch lacks"):
+        FiniteHorizonAdvantage(value=value)(scored().exclude(key))
+
+
+def test_rewards_of_another_precision_than_the_networks_are_taken():
+    batch = scored()
+    advantage = FiniteHorizonAdvantage(
+        rollouts_per_context=M * K, observation_map=lambda observation: observation.double()
+    )
+    single = advantage(batch.float())["advantage"]
+    assert single.dtype == torch.float32
+    assert torch.allclose(single.double(), advantage(batch)["advantage"], atol=1e-4)
