@@ -8,7 +8,14 @@ from tensordict import TensorDict
 from torch.distributions import Normal
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from pemirl_trl.modules import ContextPolicy, ContextValue, Standardize
+from pemirl_trl.modules import (
+    AIRLDiscriminator,
+    ContextPolicy,
+    ContextValue,
+    ShapedReward,
+    Standardize,
+)
+from pemirl_trl.objectives import DiscriminatorLoss, TRPOLoss
 
 N, T, S, A, D = 5, 4, 3, 2, 2
 
@@ -91,3 +98,32 @@ def test_a_map_of_contexts_is_applied_to_them_alone():
     torch.testing.assert_close(mapped.get_dist(data).mean, plain.get_dist(z).mean)
     assert "module.0.net.standardize_context.loc" in dict(mapped.named_buffers())
     assert not any("standardize_context" in name for name, _ in plain.named_buffers())
+
+
+def test_one_context_serves_many_observations():
+    policy, observation, context = ContextPolicy(S, A, D), torch.randn(N, S), torch.randn(1, D)
+    expected = policy.gaussian(observation, context.expand(N, D))
+    for got, value in zip(policy.gaussian(observation, context), expected, strict=True):
+        assert torch.equal(got, value)
+
+
+def test_the_key_of_the_density_is_set_once_and_followed():
+    policy = ContextPolicy(S, A, D, log_prob_key="log_pi")
+    reward = ShapedReward(S, D)
+    discriminator = AIRLDiscriminator(reward, log_prob_key=policy.log_prob_key)
+    rollouts = policy(batch())
+    assert "log_pi" in rollouts
+    assert "action_log_prob" not in rollouts
+    for loss in (TRPOLoss(policy), DiscriminatorLoss(discriminator)):
+        assert loss.tensor_keys.action_log_prob == "log_pi"
+        assert "log_pi" in loss.in_keys
+
+
+def test_a_value_refuses_rollouts_that_have_lost_their_time():
+    with pytest.raises(ValueError, match=r"got observations \[20, 3\].*do not flatten N and T"):
+        ContextValue(S, D, T)(batch().reshape(-1))
+
+
+def test_a_value_can_be_called_by_keywords():
+    value, inputs = ContextValue(S, D, T), batch()
+    assert torch.equal(value(**inputs), value(inputs)["state_value"])

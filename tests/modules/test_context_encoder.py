@@ -6,6 +6,7 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.modules import (
     ContextEncoder,
     ContextPolicy,
@@ -162,3 +163,30 @@ def test_policy_and_reward_without_context_are_functions_of_the_state(float64):
     s, following = batch["observation"], batch["next", "observation"]
     shaping = 0.5 * reward.potential_net(following) - reward.potential_net(s)
     assert torch.allclose(reward(batch)["shaped_reward"], reward.reward_net(s) + shaping)
+
+
+def test_a_data_set_is_taken_for_its_trajectories(encoder):
+    dataset = DemonstrationDataset(torch.randn(N, T + 1, S), torch.randn(N, T, A))
+    expected = encoder.get_dist(dataset.trajectories())
+    got = encoder.get_dist(dataset)
+    assert torch.equal(got.mean, expected.mean)
+    assert torch.equal(got.stddev, expected.stddev)
+    assert torch.equal(encoder(dataset)["context_loc"], expected.mean)
+
+
+@pytest.mark.parametrize("model", [ContextEncoder(S, A, D, T), MaskedContextEncoder(S, A, D)])
+@pytest.mark.parametrize(
+    "spoil", [lambda batch: batch.auto_batch_size_(2), lambda batch: batch.auto_batch_size_(2)[0]]
+)
+def test_a_batch_whose_size_counts_steps_is_refused(model, spoil):
+    batch = spoil(trajectories())
+    message = rf"{type(model).__name__} reduces time: it takes trajectories of batch size \[N\]"
+    for call in (model, model.get_dist):
+        with pytest.raises(ValueError, match=message):
+            call(batch)
+
+
+def test_without_contexts_too_a_flat_batch_is_refused():
+    flat = trajectories().auto_batch_size_(2).reshape(-1)
+    with pytest.raises(ValueError, match=r"NoContext reduces time.*got batch size \[30\]"):
+        NoContext().get_dist(flat)

@@ -134,3 +134,29 @@ def test_a_missing_input_is_named(name):
     module = build(name)
     with pytest.raises(KeyError, match="observation"):
         module(batch().exclude("observation", ("next", "observation")))
+
+
+@each_module
+def test_a_missing_context_is_explained(name):
+    module = build(name)
+    if "context" in module.in_keys:
+        with pytest.raises(KeyError, match=r"'context'.*InferContext writes it at reset"):
+            module(batch().exclude("context"))
+
+
+@each_module
+def test_every_key_has_a_name_and_every_name_a_key(name):
+    module = build(name)
+    named = {value for key, value in vars(module).items() if key.endswith("_key")}
+    named |= set(getattr(module, "role_keys", {}).values())
+    if name == "policy":
+        named.add(module.log_prob_key)
+    assert named == {*module.in_keys, *module.out_keys}
+
+
+@each_module
+def test_float64_by_default_makes_float64_networks_of_float32_data(name, float64):
+    module = BUILD[name](Standardize.fit(torch.randn(8, S, dtype=torch.float32)))
+    floats = {t.dtype for t in module.state_dict().values() if t.is_floating_point()}
+    assert floats == {torch.float64}
+    assert {o.dtype for o in outputs(module, name, batch().float())} == {torch.float64}

@@ -4,7 +4,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from pemirl_trl.modules import AIRLDiscriminator, ShapedReward, Standardize
+from pemirl_trl.modules import AIRLDiscriminator, GAILDiscriminator, ShapedReward, Standardize
 
 N, S, D = 7, 3, 2
 
@@ -88,3 +88,30 @@ def test_a_reward_of_some_features_ignores_the_others_and_its_potential_does_not
 def test_features_that_are_none_of_an_observation_are_refused(features):
     with pytest.raises(ValueError, match="expected distinct numbers from 0 to 3"):
         ShapedReward(4, 2, reward_features=features)
+
+
+def test_one_context_serves_many_observations():
+    reward, observation, context = ShapedReward(S, D), torch.randn(5, S), torch.randn(1, D)
+    for function in (reward.reward, reward.potential):
+        expected = function(observation, context.expand(5, D))
+        assert torch.equal(function(observation, context), expected)
+        assert torch.equal(function(observation, context[0]), expected)
+
+
+def test_a_discriminator_needs_a_reward_with_a_potential():
+    with pytest.raises(TypeError, match=r"takes a shaped reward .*got GAILDiscriminator"):
+        AIRLDiscriminator(GAILDiscriminator(S, 1))
+
+
+def test_a_discriminator_without_a_next_observation_has_no_logit():
+    discriminator = AIRLDiscriminator(ShapedReward(S, D))
+    batch = TensorDict(
+        {
+            "observation": torch.randn(4, S),
+            "context": torch.randn(4, D),
+            "action_log_prob": torch.randn(4),
+        },
+        [4],
+    )
+    with pytest.raises(KeyError, match=r"AIRLDiscriminator reads \('next', 'observation'\)"):
+        discriminator(batch)

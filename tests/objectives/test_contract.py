@@ -2,15 +2,25 @@
 
 import copy
 import dataclasses
+from types import SimpleNamespace
 
 import pytest
 import torch
 
 from pemirl_trl import objectives
+from pemirl_trl.modules import (
+    AIRLDiscriminator,
+    ContextEncoder,
+    ContextPolicy,
+    ContextValue,
+    GAILDiscriminator,
+    ShapedReward,
+)
+from pemirl_trl.modules.reading import MissingKeyError
 from pemirl_trl.objectives import DiscriminatorLoss, InfoLoss, MetaILLoss, TRPOLoss, ValueLoss
 from pemirl_trl.objectives.common import KeyedLoss
 
-from .problems import K, networks, rollouts
+from .problems import A, D, K, S, T, networks, rollouts
 
 BUILD = {
     "discriminator": lambda n: DiscriminatorLoss(n.discriminator, gradient_penalty_coeff=0.1),
@@ -189,3 +199,79 @@ def test_reductions(build, key):
     assert each.shape[:2] == batch.shape
     assert torch.allclose(build(nets, "mean")(batch)[key], each.mean())
     assert torch.allclose(build(nets, "sum")(batch)[key], each.sum())
+
+
+@pytest.mark.parametrize(("name", "key"), KEYS)
+def test_a_missing_key_is_named_with_the_loss_that_reads_it(name, key):
+    loss, batch = BUILD[name](networks()), rollouts()
+    absent = getattr(loss.tensor_keys, key)
+    with pytest.raises(MissingKeyError, match=f"^{type(loss).__name__} reads .*batch lacks; it h"):
+        loss(batch.exclude(absent))
+
+
+@pytest.mark.parametrize("name", ["discriminator", "info", "trpo", "value"])
+def test_who_reads_a_context_says_who_writes_it(name):
+    with pytest.raises(MissingKeyError, match=r"'context'.*InferContext writes it at reset"):
+        BUILD[name](networks())(rollouts().exclude("context"))
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda n: DiscriminatorLoss(n.reward), r"ShapedReward: wrap it, AIRLDiscriminator\("),
+        (lambda n: DiscriminatorLoss(n.policy), "takes a discriminator .*got ContextPolicy"),
+        (lambda n: InfoLoss(n.reward, n.encoder, rollouts_per_context=K), "takes an encoder"),
+        (
+            lambda n: InfoLoss(n.encoder, n.discriminator, rollouts_per_context=K),
+            r"takes a shaped reward .*AIRLDiscriminator: pass its \.reward",
+        ),
+        (lambda n: InfoLoss(n.encoder, n.gail, rollouts_per_context=K), "GAILDiscriminator$"),
+        (lambda n: MetaILLoss(n.policy, n.encoder), "takes an encoder .*got ContextPolicy"),
+        (lambda n: MetaILLoss(n.encoder, n.encoder), "takes a policy .*got ContextEncoder"),
+        (lambda n: TRPOLoss(n.encoder), "takes a policy .*got ContextEncoder"),
+    ],
+)
+def test_a_part_in_the_place_of_another_is_refused(build, message):
+    with pytest.raises(TypeError, match=message):
+        build(networks())
+
+
+@each_loss
+def test_a_flat_batch_is_the_same_batch_or_is_refused(name):
+    loss, batch = BUILD[name](networks()), rollouts()
+    if name in ("discriminator", "gail", "trpo"):  # these are about single transitions
+        assert_same(values(loss, batch.reshape(-1)), values(loss, batch))
+    else:
+        with pytest.raises(ValueError, match=r"got observations? \[24, 3\].*flat"):
+            loss(batch.reshape(-1))
+
+
+@each_loss
+def test_float64_networks_take_float32_data(name, float64):
+    loss, batch = BUILD[name](networks()), rollouts()
+    result = values(loss, batch.float())
+    assert {value.dtype for value in result.values()} == {torch.float64}
+    for key, value in values(loss, batch).items():
+        assert torch.allclose(result[key], value, rtol=1e-4, atol=1e-5), key
+
+
+def renamed_networks():
+    """Networks whose keys are all their own."""
+    reward = ShapedReward(S, D, context_key="m")
+    discriminator = AIRLDiscriminator(reward, log_prob_key="log_pi")
+    policy = ContextPolicy(S, A, D, context_key="m", log_prob_key="log_pi")
+    return SimpleNamespace(
+        encoder=ContextEncoder(S, A, D, T, context_key="m"),
+        reward=reward,
+        discriminator=discriminator,
+        gail=GAILDiscriminator(S, A),
+        policy=policy,
+        value=ContextValue(S, D, T, context_key="m", value_key="v"),
+    )
+
+
+@each_loss
+def test_a_loss_follows_the_keys_of_its_networks(name):
+    loss, batch = BUILD[name](renamed_networks()), rollouts()
+    batch.rename_key_("context", "m").rename_key_("action_log_prob", "log_pi")
+    assert all(value.isfinite() for value in values(loss, batch).values())

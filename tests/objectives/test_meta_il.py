@@ -2,13 +2,18 @@
 
 import math
 
+import pytest
 import torch
+from tensordict.nn import TensorDictModule
 from torch.distributions import Normal, kl_divergence
+from torchrl.modules import ProbabilisticActor
 
+from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.modules import ContextEncoder, ContextPolicy
+from pemirl_trl.modules.context_encoder import diagonal_normal
 from pemirl_trl.objectives import MetaILLoss
 
-from .problems import A, D, S, T, networks, rollouts
+from .problems import A, D, N, S, T, networks, rollouts
 
 
 def test_the_expected_loss_is_the_analytic_one(float64):
@@ -57,3 +62,42 @@ def test_the_kl_is_torchs(float64):
     expected = kl_divergence(Normal(q.mean, q.stddev), Normal(0.0, 1.0)).sum(-1).mean()
     assert torch.isclose(result["kl"], expected)
     assert torch.isclose(result["loss_kl"], 0.25 * expected)
+
+
+def test_a_data_set_is_taken_for_its_trajectories():
+    nets = networks()
+    dataset = DemonstrationDataset(torch.randn(N, T + 1, S), torch.randn(N, T, A))
+    results = []
+    for demonstrations in (dataset, dataset.trajectories()):
+        torch.manual_seed(1)
+        results.append(MetaILLoss(nets.encoder, nets.policy)(demonstrations))
+    assert (results[0] == results[1]).all()
+
+
+def test_the_policy_says_where_it_reads_the_context():
+    """Whatever the order of its keys."""
+    nets, batch = networks(), rollouts()
+    swapped = ProbabilisticActor(
+        TensorDictModule(
+            lambda m, s: nets.policy.gaussian(s, m), ["m", "observation"], ["loc", "scale"]
+        ),
+        in_keys=["loc", "scale"],
+        distribution_class=diagonal_normal,
+    )
+    swapped.context_key = "m"
+    results = []
+    for policy in (nets.policy, swapped):
+        torch.manual_seed(1)
+        results.append(MetaILLoss(nets.encoder, policy)(batch))
+    assert torch.equal(results[0]["loss_imitation"], results[1]["loss_imitation"])
+
+
+def test_a_policy_without_contexts_is_refused():
+    policy = ProbabilisticActor(
+        TensorDictModule(torch.nn.Linear(S, A), ["observation"], ["loc"]),
+        in_keys=["loc"],
+        distribution_class=torch.distributions.Normal,
+        distribution_kwargs={"scale": 1.0},
+    )
+    with pytest.raises(ValueError, match=r"reads \['observation'\].*known to be the context"):
+        MetaILLoss(networks().encoder, policy)

@@ -4,12 +4,15 @@ import math
 
 import pytest
 import torch
+from tensordict.nn import TensorDictModule
 from torch.nn.utils import parameters_to_vector
+from torchrl.modules import NormalParamExtractor, ProbabilisticActor, TanhNormal
 
 from pemirl_trl.objectives import TRPOLoss
+from pemirl_trl.objectives.trpo import _kl
 from pemirl_trl.optim import TrustRegionOptimizer
 
-from .problems import A, networks, rollouts
+from .problems import A, S, networks, rollouts
 
 
 @pytest.fixture
@@ -153,3 +156,97 @@ def test_an_accepted_step_obeys_the_bound(problem):
     assert result.kl == pytest.approx(after["kl"].item())
     assert result.improvement == pytest.approx(before - after["loss_objective"].item())
     assert result.improvement > 0
+
+
+def test_stored_densities_are_data_even_where_they_carry_gradients(problem):
+    policy, batch = problem
+    with torch.no_grad():
+        expected = TRPOLoss(policy)(batch)
+    attached = batch.copy().set("advantage", batch["advantage"].clone().requires_grad_())
+    fresh = policy.get_dist(batch.copy())
+    attached.update({"loc": fresh.mean, "scale": fresh.stddev})
+    attached.set("action_log_prob", fresh.log_prob(batch["action"]))
+    assert attached["action_log_prob"].requires_grad
+    result = TRPOLoss(policy)(attached)
+    for key, value in expected.items():
+        assert torch.allclose(result[key], value, atol=1e-12), key
+
+    def gradient(batch):
+        loss = TRPOLoss(policy)(batch)["loss_objective"]
+        return torch.autograd.grad(loss, list(policy.parameters()))
+
+    for got, value in zip(gradient(attached), gradient(batch), strict=True):
+        assert torch.allclose(got, value)
+    result["loss_objective"].backward()
+    assert attached["advantage"].grad is None
+
+
+def squashed(event_dims=1, **bounds):
+    """A policy of TorchRL's: a Gaussian, then tanh onto the range of the actions."""
+    net = torch.nn.Sequential(torch.nn.Linear(S, 2 * A), NormalParamExtractor())
+    return ProbabilisticActor(
+        TensorDictModule(net, ["observation"], ["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        distribution_class=TanhNormal,
+        distribution_kwargs=bounds,
+        return_log_prob=True,
+    )
+
+
+@pytest.fixture(params=[{}, {"low": -2.0, "high": 3.0}])
+def squashed_problem(request, float64):
+    policy, batch = squashed(**request.param), rollouts()
+    with torch.no_grad():
+        policy(batch)
+        batch["action"] = policy.get_dist(batch).sample()
+        batch["action_log_prob"] = policy.get_dist(batch).log_prob(batch["action"])
+    return policy, batch
+
+
+def test_the_kl_of_tanh_gaussians_is_that_of_their_gaussians(squashed_problem):
+    policy, batch = squashed_problem
+    assert TRPOLoss(policy)(batch)["kl"] == 0
+    nudge(policy)
+    new = policy.module[0](batch.select("observation"))
+    old = torch.distributions.Normal(batch["loc"], batch["scale"])
+    normal = torch.distributions.Normal(new["loc"], new["scale"])
+    expected = torch.distributions.kl_divergence(old, normal).sum(-1)
+    assert torch.isclose(TRPOLoss(policy)(batch)["kl"], expected.mean())
+    # By samples of the squashed actions: the bijection cancels.
+    before, after = policy.build_dist_from_params(batch), policy.get_dist(batch.copy())
+    actions = before.sample((20_000,))
+    ratios = (before.log_prob(actions) - after.log_prob(actions)).mean((1, 2)).detach()
+    assert (ratios.mean() - expected.mean()).abs() < 4 * ratios.std() / math.sqrt(len(ratios))
+
+
+def test_a_step_of_a_tanh_gaussian_policy_obeys_the_bound(squashed_problem):
+    policy, batch = squashed_problem
+    loss = TRPOLoss(policy)
+    assert loss.out_keys == ["loss_objective", "kl"]  # its entropy has no closed form
+
+    def closure():
+        losses = loss(batch)
+        return losses["loss_objective"], losses["kl"]
+
+    result = TrustRegionOptimizer(policy.parameters(), max_kl=0.02).step(closure)
+    assert result.accepted
+    assert 0 < result.kl <= 0.02
+
+
+def test_entropy_that_no_formula_gives_is_refused_at_once():
+    with pytest.raises(ValueError, match=r"0\.1, but TanhNormal has no entropy in closed form"):
+        TRPOLoss(squashed(), entropy_coeff=0.1)
+
+
+def test_ranges_of_actions_that_differ_have_no_common_bijection(squashed_problem):
+    policy, batch = squashed_problem
+    new = policy.get_dist(batch.copy())
+    other = TanhNormal(new.loc, new.scale, low=-7.0, high=7.0)
+    with pytest.raises(ValueError, match=r"one range of actions, got low .*at collection and"):
+        _kl(other, new)
+
+
+def test_rollouts_without_the_distributions_parameters_say_who_writes_them(problem):
+    policy, batch = problem
+    with pytest.raises(KeyError, match=r"TRPOLoss reads 'loc'.*The policy writes it at collection"):
+        TRPOLoss(policy)(batch.exclude("loc", "scale"))

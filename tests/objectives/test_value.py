@@ -7,9 +7,10 @@ from tensordict.nn import TensorDictModule
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 from pemirl_trl.functional import discounted_return, ridge_prediction, time_polynomial_features
+from pemirl_trl.modules import ContextValue
 from pemirl_trl.objectives import FiniteHorizonAdvantage, ValueLoss
 
-from .problems import K, M, T, networks, rollouts
+from .problems import D, K, M, N, S, T, networks, rollouts
 
 pytestmark = pytest.mark.usefixtures("float64")
 
@@ -144,7 +145,43 @@ def test_the_value_loss_is_a_mean_square_under_any_name_of_the_value():
     network, batch = networks().value, rollouts()
     expected = (network(batch.copy())["state_value"] - batch["value_target"]).square().mean()
     assert torch.isclose(ValueLoss(network)(batch)["loss_value"], expected)
-    network.out_keys = ["elsewhere"]
-    loss = ValueLoss(network)
-    loss.set_keys(value="elsewhere")
-    assert torch.isclose(loss(batch)["loss_value"], expected)
+    renamed = ContextValue(
+        S, D, T, hidden=(8,), standardize=network.module.standardize, value_key="elsewhere"
+    )
+    renamed.load_state_dict(network.state_dict())
+    assert torch.isclose(ValueLoss(renamed)(batch)["loss_value"], expected)
+    batch["next", "reward"] = torch.randn(N, T, 1)
+    first, second = (
+        FiniteHorizonAdvantage(value=value)(batch.copy()) for value in (network, renamed)
+    )
+    assert torch.equal(first["advantage"], second["advantage"])
+
+
+@pytest.mark.parametrize("value", [None, networks().value])
+def test_a_batch_that_has_lost_its_time_is_refused(value):
+    with pytest.raises(ValueError, match=r"whole rollouts \[N, T\].*got reward \[24, 1\]"):
+        FiniteHorizonAdvantage(value=value)(scored().reshape(-1))
+
+
+@pytest.mark.parametrize(
+    ("value", "key"),
+    [
+        (None, ("next", "reward")),
+        (None, "observation"),
+        (networks().value, "observation"),
+        (networks().value, "context"),
+    ],
+)
+def test_what_a_batch_lacks_is_named(value, key):
+    with pytest.raises(KeyError, match=r"FiniteHorizonAdvantage reads .*which this batch lacks"):
+        FiniteHorizonAdvantage(value=value)(scored().exclude(key))
+
+
+def test_rewards_of_another_precision_than_the_networks_are_taken():
+    batch = scored()
+    advantage = FiniteHorizonAdvantage(
+        rollouts_per_context=M * K, observation_map=lambda observation: observation.double()
+    )
+    single = advantage(batch.float())["advantage"]
+    assert single.dtype == torch.float32
+    assert torch.allclose(single.double(), advantage(batch)["advantage"], atol=1e-4)

@@ -168,3 +168,73 @@ def test_senseless_settings_are_refused(kwargs, message):
 def test_nothing_to_move_is_refused():
     with pytest.raises(ValueError, match="no parameter that requires a gradient"):
         TrustRegionOptimizer([torch.ones(3)])
+
+
+@pytest.mark.parametrize(
+    ("returned", "message"),
+    [
+        (lambda loss, kl: loss, r"returned a tensor of shape \[\]; expected \(loss, kl\)"),
+        (lambda loss, kl: {"loss": loss}, "returned a dict; expected"),
+        (lambda loss, kl: (loss, kl, kl), "two scalar tensors: with losses = TRPOLoss"),
+        (lambda loss, kl: (loss.expand(3), kl), r"returned \(a tensor of shape \[3\], a tensor"),
+        (lambda loss, kl: (loss, 0.0), r"a tensor of shape \[\], a float\)"),
+    ],
+)
+def test_a_closure_that_returns_something_else_is_refused(model, returned, message):
+    with pytest.raises(TypeError, match=message):
+        optimizer(model).step(lambda: returned(*model.closure()))
+    assert torch.equal(model.moved(), torch.zeros(5))
+
+
+@pytest.mark.parametrize(
+    ("detached", "name"),
+    [(lambda loss, kl: (loss.detach(), kl), "loss"), (lambda loss, kl: (loss, kl.detach()), "kl")],
+)
+def test_a_closure_that_detaches_is_refused(model, detached, name):
+    with pytest.raises(ValueError, match=f"the {name} carries no gradient.*do not detach"):
+        optimizer(model).step(lambda: detached(*model.closure()))
+
+
+def test_a_fisher_closure_that_detaches_is_refused(model):
+    with pytest.raises(ValueError, match="kl of the fisher_closure carries no gradient"):
+        optimizer(model).step(model.closure, lambda: model.kl().detach())
+
+
+def test_it_is_an_optimiser_of_torch_whose_group_holds_its_settings(model):
+    trust_region = optimizer(model, damping=1e-9)
+    assert isinstance(trust_region, torch.optim.Optimizer)
+    (group,) = trust_region.param_groups
+    assert all(a is b for a, b in zip(group["params"], model.params, strict=True))
+    trust_region.param_groups[0]["max_kl"] = 0.003  # as a schedule may
+    trust_region.step(model.closure)
+    assert torch.allclose(model.moved(), model.step(0.003, model.fisher), rtol=1e-5)
+
+
+def test_its_state_moves_to_another_optimiser(float64):
+    source, target = Quadratic(), Quadratic()
+    target.fisher, target.slope = source.fisher, source.slope
+    settings = optimizer(source, max_kl=0.002, damping=0.3).state_dict()
+    other = TrustRegionOptimizer(target.params)
+    other.load_state_dict(settings)
+    other.param_groups[0]["cg_iterations"] = 20
+    other.step(target.closure)
+    expected = source.step(0.002, source.fisher + 0.3 * torch.eye(5))
+    assert torch.allclose(target.moved(), expected, rtol=1e-5)
+    settings["param_groups"][0]["max_kl"] = -1.0
+    with pytest.raises(ValueError, match="max_kl > 0"):
+        other.load_state_dict(settings)
+
+
+def test_named_parameters_keep_their_names_without_the_frozen_ones(model):
+    frozen = torch.nn.Parameter(torch.ones(3), requires_grad=False)
+    named = [("frozen", frozen), ("a", model.params[0]), ("b", model.params[1])]
+    (group,) = TrustRegionOptimizer(named).param_groups
+    assert group["param_names"] == ["a", "b"]
+    assert len(group["params"]) == 2
+
+
+def test_a_second_trust_region_is_refused(model):
+    with pytest.raises(ValueError, match="expected one parameter group, got a second one"):
+        TrustRegionOptimizer([{"params": [p]} for p in model.params])
+    with pytest.raises(ValueError, match="expected one parameter group, got a second one"):
+        optimizer(model).add_param_group({"params": [torch.nn.Parameter(torch.ones(1))]})

@@ -7,7 +7,8 @@ from torchrl.collectors import Collector
 from torchrl.envs import Compose, RewardSum, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from pemirl_trl.modules import ContextEncoder, ContextPolicy, NoContext
+from pemirl_trl.data import DemonstrationDataset
+from pemirl_trl.modules import ContextEncoder, ContextPolicy, NoContext, PEMIRLModel
 from pemirl_trl.transforms import InferContext
 
 from .toy import Line
@@ -210,3 +211,35 @@ def test_senseless_settings_are_refused(make, encoder, demonstrations, tasks):
 def test_it_composes(make, encoder, demonstrations, tasks):
     infer = InferContext(encoder, demonstrations, rollouts_per_context=K, tasks=tasks)
     check_env_specs(TransformedEnv(Line(N, T), Compose(RewardSum(), infer)))
+
+
+def test_a_data_set_is_taken_for_its_trajectories(encoder):
+    dataset = DemonstrationDataset(torch.randn(J, T + 1, 2), torch.randn(J, T, 1))
+    transform = InferContext(encoder, dataset, draw="all", sample=False)
+    start = TransformedEnv(Line(J, T), transform).reset()
+    assert torch.allclose(start["context"], encoder.get_dist(dataset.trajectories()).mean)
+
+
+def test_another_network_than_an_encoder_is_refused(demonstrations):
+    with pytest.raises(TypeError, match=r"InferContext takes an encoder .*got ContextPolicy"):
+        InferContext(ContextPolicy(2, 1, D), demonstrations)
+
+
+def test_a_model_is_pointed_to_its_encoder(demonstrations):
+    with pytest.raises(TypeError, match=r"got PEMIRLModel: pass its \.encoder"):
+        InferContext(PEMIRLModel(2, 1, T), demonstrations)
+
+
+def test_a_step_from_a_state_without_context_says_who_writes_it(make):
+    env = make()
+    start = env.reset().exclude("context").set("action", torch.zeros(N, 1))
+    with pytest.raises(KeyError, match=r"reads 'context'.*InferContext writes it at reset"):
+        env.step(start)
+
+
+def test_the_spec_has_the_encoders_precision(demonstrations, float64):
+    env = TransformedEnv(
+        Line(J, T), InferContext(ContextEncoder(2, 1, D, T), demonstrations, draw="all")
+    )
+    assert env.observation_spec["context"].dtype == torch.float64
+    check_env_specs(env)

@@ -6,7 +6,7 @@ from tensordict import TensorDict
 from torchrl.envs import Compose, RewardSum, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from pemirl_trl.modules import ContextEncoder, ShapedReward
+from pemirl_trl.modules import ContextEncoder, PEMIRLModel, ShapedReward
 from pemirl_trl.transforms import InferContext, LearnedReward
 
 from .toy import Line
@@ -97,3 +97,27 @@ def test_specs_hold_and_both_rewards_can_be_summed(make, reward, key):
 def test_an_unknown_reward_is_refused(reward):
     with pytest.raises(ValueError, match=r"'r'; this reward writes \['learned_reward', 'shaped"):
         LearnedReward(reward, "r")
+
+
+def test_a_model_is_pointed_to_its_reward():
+    with pytest.raises(
+        TypeError, match=r"takes a TensorDict module, got PEMIRLModel: pass its \.r"
+    ):
+        LearnedReward(PEMIRLModel(2, 1, T))
+
+
+def test_a_flat_batch_is_scored_as_the_rollouts_are(make, reward):
+    batch = make().rollout(T)
+    flat = LearnedReward(reward)(batch.reshape(-1))
+    expected = LearnedReward(reward)(batch)
+    assert torch.allclose(flat["next", "reward"], expected["next", "reward"].flatten(0, 1))
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [("context", "InferContext writes it"), (("next", "reward"), "Environments write it")],
+)
+def test_what_a_batch_lacks_is_explained(make, reward, key, message):
+    batch = make().rollout(T).exclude(key)
+    with pytest.raises(KeyError, match=rf"LearnedReward reads .*batch lacks.*{message}"):
+        LearnedReward(reward)(batch)

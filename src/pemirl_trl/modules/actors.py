@@ -6,13 +6,15 @@ import math
 from collections.abc import Sequence
 
 import torch
-from tensordict.nn import TensorDictModule
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase, dispatch
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
 from torchrl.modules import MLP, ProbabilisticActor
 
 from pemirl_trl.modules.context_encoder import diagonal_normal
 from pemirl_trl.modules.direct import DirectModule
+from pemirl_trl.modules.reading import beside, read
 from pemirl_trl.modules.standardize import Standardize
 
 
@@ -31,22 +33,28 @@ class _GaussianNet(nn.Module):
     def forward(self, observation: Tensor, context: Tensor) -> tuple[Tensor, Tensor]:
         if self.standardize_context is not None:
             context = self.standardize_context(context)
-        loc = self.net(self.standardize(observation), context)
+        loc = self.net(self.standardize(observation), beside(context, observation))
         return loc, self.log_scale.exp().expand_as(loc)
 
 
 class ContextPolicy(ProbabilisticActor):
-    """pi(a | s, m): a diagonal Gaussian with an MLP mean and one deviation for all inputs.
+    """The policy pi(a | s, m): a diagonal Gaussian, its mean an MLP, its deviation a constant.
 
     Reads ``observation`` ``[..., S]`` and ``context`` ``[..., D]``; writes ``loc``, ``scale``,
     ``action`` ``[..., A]`` and ``action_log_prob`` ``[...]``, the density of the action as drawn:
-    a simulator that clamps its controls changes what the action does, not how likely it was.
+    a simulator that clamps its controls changes what the action does, not how likely it was. (Yu,
+    Yu, Finn and Ermon, 2019, "Meta-Inverse Reinforcement Learning with Probabilistic Context
+    Variables", arXiv:1909.09314, Appendix E.1.)
+
+    Attributes:
+        observation_key, context_key: what it reads.
+        loc_key, scale_key, action_key, log_prob_key: what it writes.
 
     Args:
         observation_dim, action_dim, context_dim: S, A and D.
         hidden, activation: of the mean (the paper's: 2 x 64).
         standardize: map of observations; by default none.
-        initial_scale: deviation before training.
+        initial_scale: deviation before training, in the units of an action.
         learn_scale: whether the deviation is learned, or held (and moved by schedules alone).
             Where a simulator clamps actions, entropy costs nothing beyond the clamp, and an
             entropy-seeking objective would buy it without end: hold the deviation there.
@@ -54,6 +62,19 @@ class ContextPolicy(ProbabilisticActor):
             observations in deviations.
         context_key: where m stands. An expert that knows its task reads the task parameters
             instead of a context: ``context_key=("task", "goal")``.
+        log_prob_key: where log pi is written. A :class:`pemirl_trl.TRPOLoss` of this policy reads
+            it there; for a discriminator, ``AIRLDiscriminator(reward, policy.log_prob_key)``.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> policy = ContextPolicy(observation_dim=6, action_dim=2, context_dim=3)
+        >>> states, m = torch.randn(4, 6), torch.randn(4, 3)
+        >>> batch = TensorDict({"observation": states, "context": m}, [4])
+        >>> policy(batch)["action"].shape
+        torch.Size([4, 2])
+        >>> policy.get_dist(batch).log_prob(batch["action"]).shape
+        torch.Size([4])
     """
 
     def __init__(
@@ -69,6 +90,7 @@ class ContextPolicy(ProbabilisticActor):
         learn_scale: bool = True,
         standardize_context: Standardize | None = None,
         context_key: NestedKey = "context",
+        log_prob_key: NestedKey = "action_log_prob",
     ) -> None:
         net = MLP(
             in_features=observation_dim + context_dim,
@@ -84,12 +106,23 @@ class ContextPolicy(ProbabilisticActor):
             standardize_context,
         )
         super().__init__(
-            module=DirectModule(gaussian, ["observation", context_key], ["loc", "scale"]),
+            module=DirectModule(
+                gaussian, ["observation", context_key], ["loc", "scale"], reader="ContextPolicy"
+            ),
             in_keys=["loc", "scale"],
             out_keys=["action"],
             distribution_class=diagonal_normal,
             return_log_prob=True,
+            log_prob_key=log_prob_key,
         )
+        self.observation_key: NestedKey = "observation"
+        self.context_key = context_key
+        self.loc_key, self.scale_key, self.action_key = "loc", "scale", "action"
+
+    @property
+    def log_prob_key(self) -> NestedKey:
+        """Where log pi is written."""
+        return self[-1].log_prob_key
 
     @property
     def gaussian(self) -> _GaussianNet:
@@ -113,16 +146,46 @@ class _ValueNet(nn.Module):
         self.standardize, self.net, self.horizon = standardize, net, horizon
 
     def forward(self, observation: Tensor, context: Tensor) -> Tensor:
+        if observation.ndim < 2 or observation.shape[-2] > self.horizon:
+            raise ValueError(
+                f"got observations {list(observation.shape)}; expected episodes "
+                f"[N, T, {self.standardize.features}] of at most {self.horizon} steps, since the "
+                "value depends on the time: do not flatten N and T"
+            )
         t = torch.arange(observation.shape[-2], dtype=observation.dtype) / self.horizon
         time = t.to(observation.device).unsqueeze(-1).expand(*observation.shape[:-1], 1)
-        return self.net(self.standardize(observation), context, time)
+        return self.net(self.standardize(observation), beside(context, observation), time)
 
 
-class ContextValue(TensorDictModule):
-    """V(s, m, t) of a finite-horizon task: an MLP that also sees the time t / T.
+class ContextValue(TensorDictModuleBase):
+    """The value V(s, m, t) of a finite-horizon task: an MLP that also sees the time t / T.
 
     Reads whole episodes from their first step, ``observation`` ``[..., T, S]`` and ``context``
-    ``[..., T, D]``; writes ``state_value`` ``[..., T, 1]``.
+    ``[..., T, D]``; writes ``state_value`` ``[..., T, 1]``, in the reward's units. For
+    :class:`pemirl_trl.FiniteHorizonAdvantage` in the place of its linear baseline, fitted by
+    :class:`pemirl_trl.ValueLoss`; the library's own methods use the linear one.
+
+    Attributes:
+        observation_key, context_key: what it reads.
+        value_key: where it writes.
+
+    Args:
+        observation_dim, context_dim: S and D.
+        horizon: T, in steps.
+        hidden, activation: of the network.
+        standardize: map of observations; by default none.
+        context_key: where m stands.
+        value_key: where V is written.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> value = ContextValue(observation_dim=6, context_dim=3, horizon=10)
+        >>> episodes = TensorDict(
+        ...     {"observation": torch.randn(4, 10, 6), "context": torch.randn(4, 10, 3)}, [4, 10]
+        ... )
+        >>> value(episodes)["state_value"].shape
+        torch.Size([4, 10, 1])
     """
 
     def __init__(
@@ -135,6 +198,7 @@ class ContextValue(TensorDictModule):
         activation: type[nn.Module] = nn.Tanh,
         standardize: Standardize | None = None,
         context_key: NestedKey = "context",
+        value_key: NestedKey = "state_value",
     ) -> None:
         net = MLP(
             in_features=observation_dim + context_dim + 1,
@@ -142,5 +206,22 @@ class ContextValue(TensorDictModule):
             num_cells=list(hidden),
             activation_class=activation,
         )
-        value = _ValueNet(net, standardize or Standardize.identity(observation_dim), horizon)
-        super().__init__(value, in_keys=["observation", context_key], out_keys=["state_value"])
+        super().__init__()
+        self.module = _ValueNet(net, standardize or Standardize.identity(observation_dim), horizon)
+        self.observation_key: NestedKey = "observation"
+        self.context_key = context_key
+        self.value_key = value_key
+        self.in_keys: list[NestedKey] = [self.observation_key, self.context_key]
+        self.out_keys: list[NestedKey] = [self.value_key]
+
+    @dispatch
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write V(s, m, t) into ``tensordict``.
+
+        Raises:
+            MissingKeyError: the batch lacks the observation or the context.
+            ValueError: it holds more steps in a row than an episode has.
+        """
+        observation = read(tensordict, self.observation_key, "ContextValue", "observation")
+        context = read(tensordict, self.context_key, "ContextValue", "context")
+        return tensordict.set(self.value_key, self.module(observation, context))

@@ -7,9 +7,10 @@ with batch size ``[N]`` and leaves ``[N, T, ...]``, since an encoder reduces tim
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDictBase, is_tensor_collection
 from tensordict.nn import (
     ProbabilisticTensorDictModule,
     ProbabilisticTensorDictSequential,
@@ -20,11 +21,12 @@ from torch.distributions import Independent, Normal
 from torchrl.modules import MLP
 
 from pemirl_trl.modules.direct import DirectModule
+from pemirl_trl.modules.reading import trajectories_of
 from pemirl_trl.modules.standardize import Standardize
 
 
 def diagonal_normal(loc: Tensor, scale: Tensor) -> Independent:
-    """N(loc, diag(scale^2)) with event dimension D, for ``[..., D]`` arguments."""
+    """Return N(loc, diag(scale^2)) with event dimension D, for ``[..., D]`` arguments."""
     return Independent(Normal(loc, scale, validate_args=False), 1, validate_args=False)
 
 
@@ -104,7 +106,7 @@ class _GaussianContext(ProbabilisticTensorDictSequential):
     ) -> None:
         loc_key, scale_key = "context_loc", "context_scale"
         super().__init__(
-            DirectModule(net, in_keys, [loc_key, scale_key], optional),
+            DirectModule(net, in_keys, [loc_key, scale_key], optional, reader=type(self).__name__),
             ProbabilisticTensorDictModule(
                 in_keys={"loc": loc_key, "scale": scale_key},
                 out_keys=[context_key],
@@ -112,18 +114,56 @@ class _GaussianContext(ProbabilisticTensorDictSequential):
             ),
         )
         self.context_dim = context_dim
+        self.observation_key: NestedKey = "observation"
+        self.context_key = context_key
+        self.loc_key, self.scale_key = loc_key, scale_key
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Call the module; a data set is taken for its trajectories."""
+        if args:
+            args = (self._trajectories(args[0]), *args[1:])
+        return super().__call__(*args, **kwargs)
 
     def get_dist(self, tensordict: TensorDictBase, **kwargs: object) -> Independent:
-        """q(m | trajectory) of a tensordict with batch size ``[N]``; it is left unchanged."""
-        return super().get_dist(tensordict.copy(), **kwargs)
+        """Return q(m | trajectory), with batch size ``[N]`` and event size ``[D]``.
+
+        Args:
+            tensordict: trajectories, batch size ``[N]`` and leaves ``[N, T, ...]``, or a data set
+                with a method ``trajectories``; left unchanged.
+            **kwargs: of TensorDict's method.
+
+        Raises:
+            MissingKeyError: it lacks one of ``in_keys``.
+            ValueError: its batch size has the time, or flattens it.
+        """
+        return super().get_dist(self._trajectories(tensordict).copy(), **kwargs)
+
+    def _trajectories(self, data: Any) -> Any:
+        data = trajectories_of(data)
+        observation = data.get(self.observation_key, None) if is_tensor_collection(data) else None
+        if observation is not None and data.ndim > observation.ndim - 2:
+            raise ValueError(
+                f"{type(self).__name__} reduces time: it takes trajectories of batch size [N] with "
+                f"observations [N, T, S], got batch size {list(data.shape)} with "
+                f"{list(observation.shape)}. Of rollouts [N, T] take rollouts.copy() and set its "
+                "batch_size to [N]; a flat batch [N T] has lost its trajectories: do not flatten it"
+            )
+        return data
 
 
 class ContextEncoder(_GaussianContext):
-    """q_psi(m | tau): an MLP on the flattened trajectory of fixed length (the paper's: 2 x 128).
+    """The inference model q_psi(m | tau): an MLP on the whole trajectory, of fixed length.
 
     Reads ``observation`` ``[N, T, S]`` and ``action`` ``[N, T, A]``; ``get_dist`` gives a diagonal
     Gaussian over ``[N, D]``; calling the module writes ``context_loc``, ``context_scale`` and
-    ``context`` (the mean, or a sample under ``ExplorationType.RANDOM``), all ``[N, D]``.
+    ``context`` (the mean, or a sample under ``ExplorationType.RANDOM``), all ``[N, D]``. A
+    :class:`pemirl_trl.DemonstrationDataset` is taken for its trajectories. The widths are those of
+    Appendix E.1 of Yu, Yu, Finn and Ermon (2019), "Meta-Inverse Reinforcement Learning with
+    Probabilistic Context Variables", arXiv:1909.09314.
+
+    Attributes:
+        observation_key, action_key: what it reads.
+        loc_key, scale_key, context_key: what it writes.
 
     Args:
         observation_dim, action_dim, context_dim: S, A and D.
@@ -135,6 +175,21 @@ class ContextEncoder(_GaussianContext):
             vector for all of them (the authors' choice, and the default).
         initial_scale: deviation before training.
         context_key: where the sample is written.
+
+    Raises:
+        ValueError: on a call, trajectories of another length.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> encoder = ContextEncoder(observation_dim=6, action_dim=2, context_dim=3, horizon=10)
+        >>> trajectories = TensorDict(
+        ...     {"observation": torch.randn(4, 10, 6), "action": torch.randn(4, 10, 2)}, [4]
+        ... )
+        >>> posterior = encoder.get_dist(trajectories)
+        >>> m = posterior.rsample()
+        >>> m.shape, posterior.log_prob(m).shape
+        (torch.Size([4, 3]), torch.Size([4]))
     """
 
     def __init__(
@@ -162,6 +217,7 @@ class ContextEncoder(_GaussianContext):
             net, head, standardize or Standardize.identity(observation_dim), horizon
         )
         super().__init__(flat, context_dim, ["observation", "action"], context_key)
+        self.action_key: NestedKey = "action"
 
 
 class _NothingNet(nn.Module):
@@ -175,6 +231,9 @@ class NoContext(_GaussianContext):
 
     Reads ``observation`` ``[N, T, S]``; everything that takes a context runs on ``[N, 0]`` as it
     does on ``[N, D]``.
+
+    Args:
+        context_key: where the empty context is written.
     """
 
     def __init__(self, *, context_key: NestedKey = "context") -> None:
@@ -182,13 +241,23 @@ class NoContext(_GaussianContext):
 
 
 class MaskedContextEncoder(_GaussianContext):
-    """q_psi(m | tau) for trajectories of any length, padded to a common one.
+    """The inference model q_psi(m | tau) for trajectories of any length, padded to a common one.
 
     Each step is embedded by an MLP, the embeddings are averaged over the valid steps and a
     second MLP gives the Gaussian. Padding is never read: it may hold anything, NaN included.
 
     Reads ``observation`` ``[N, T, S]``, ``action`` ``[N, T, A]`` and, where present, ``mask``
     ``[N, T]`` (boolean, True for valid steps); otherwise as :class:`ContextEncoder`.
+
+    Args:
+        observation_dim, action_dim, context_dim: S, A and D.
+        hidden: widths of the network of a step; the last one is that of the average too.
+        activation, standardize, scale_depends_on_input, initial_scale, context_key: as in
+            :class:`ContextEncoder`.
+        mask_key: where the mask stands.
+
+    Raises:
+        ValueError: on a call, a trajectory without a valid step.
     """
 
     def __init__(
@@ -224,3 +293,5 @@ class MaskedContextEncoder(_GaussianContext):
         )
         keys = ["observation", "action", mask_key]
         super().__init__(masked, context_dim, keys, context_key, optional=(mask_key,))
+        self.action_key: NestedKey = "action"
+        self.mask_key = mask_key

@@ -12,6 +12,7 @@ from torch import nn
 from torchrl.modules import MLP
 
 from pemirl_trl.functional import logit_expert
+from pemirl_trl.modules.reading import REWARD, read
 from pemirl_trl.modules.reward import ShapedReward
 from pemirl_trl.modules.standardize import Standardize
 
@@ -28,9 +29,36 @@ class AIRLDiscriminator(TensorDictModuleBase):
     stored one is a one-sample estimate; today's policy may put next to no density on an action of
     twenty iterations ago, and its logarithm would then rule the loss.
 
+    Source: Fu, Luo and Levine (2018), "Learning Robust Rewards with Adversarial Inverse
+    Reinforcement Learning", arXiv:1710.11248, with the context of Yu, Yu, Finn and Ermon (2019),
+    arXiv:1909.09314.
+
+    Attributes:
+        log_prob_key: where log pi stands; :class:`pemirl_trl.DiscriminatorLoss` follows it.
+        reward_key, shaped_reward_key, logit_key: where r, f and the logit are written.
+
     Args:
         reward: the shaped reward f; shared, not copied.
-        log_prob_key: where log pi stands.
+        log_prob_key: where log pi stands, ``policy.log_prob_key`` of the policy that wrote it.
+
+    Raises:
+        TypeError: the reward is no :class:`ShapedReward`.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> discriminator = AIRLDiscriminator(ShapedReward(observation_dim=6, context_dim=3))
+        >>> batch = TensorDict(
+        ...     {
+        ...         "observation": torch.randn(4, 6),
+        ...         "next": {"observation": torch.randn(4, 6)},
+        ...         "context": torch.randn(4, 3),
+        ...         "action_log_prob": torch.randn(4),
+        ...     },
+        ...     [4],
+        ... )
+        >>> discriminator(batch)[discriminator.logit_key].shape
+        torch.Size([4, 1])
     """
 
     roles: ClassVar[tuple[str, ...]] = (
@@ -39,17 +67,31 @@ class AIRLDiscriminator(TensorDictModuleBase):
         "context",
         "action_log_prob",
     )
-    """What each of ``in_keys`` is, by the names of :class:`pemirl_trl.DiscriminatorLoss`."""
+    """What it reads, by the names of :class:`pemirl_trl.DiscriminatorLoss`."""
 
     in_keys: list[NestedKey]
     out_keys: list[NestedKey]
 
     def __init__(self, reward: ShapedReward, log_prob_key: NestedKey = "action_log_prob") -> None:
+        REWARD.required(reward, "AIRLDiscriminator")
         super().__init__()
         self.reward = reward
         self.log_prob_key = log_prob_key
+        self.reward_key = reward.reward_key
+        self.shaped_reward_key = reward.shaped_reward_key
+        self.logit_key: NestedKey = "logit_expert"
         self.in_keys = [*reward.in_keys, log_prob_key]
-        self.out_keys = [*reward.out_keys, "logit_expert"]
+        self.out_keys = [*reward.out_keys, self.logit_key]
+
+    @property
+    def role_keys(self) -> dict[str, NestedKey]:
+        """Where each of ``roles`` stands in a batch."""
+        return {
+            "observation": self.reward.observation_key,
+            "next_observation": self.reward.next_observation_key,
+            "context": self.reward.context_key,
+            "action_log_prob": self.log_prob_key,
+        }
 
     @property
     def standardize(self) -> Standardize:
@@ -57,11 +99,16 @@ class AIRLDiscriminator(TensorDictModuleBase):
         return self.reward.standardize
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write r, f and the logit into ``tensordict``."""
-        self.reward(tensordict)
-        shaped = tensordict[self.reward.out_keys[1]]
-        log_prob = tensordict[self.log_prob_key].view_as(shaped)
-        return tensordict.set(self.out_keys[-1], logit_expert(shaped, log_prob))
+        """Write r, f and the logit into ``tensordict``.
+
+        Raises:
+            MissingKeyError: the batch lacks one of ``in_keys``.
+        """
+        # Without it the reward would write r alone, and not f.
+        read(tensordict, self.reward.next_observation_key, "AIRLDiscriminator", "next_observation")
+        log_prob = read(tensordict, self.log_prob_key, "AIRLDiscriminator", "action_log_prob")
+        shaped = self.reward(tensordict)[self.shaped_reward_key]
+        return tensordict.set(self.logit_key, logit_expert(shaped, log_prob.view_as(shaped)))
 
 
 class GAILDiscriminator(TensorDictModuleBase):
@@ -69,8 +116,14 @@ class GAILDiscriminator(TensorDictModuleBase):
 
     Reads ``observation`` ``[..., S]`` and ``action`` ``[..., A]``; writes the logit g as
     ``logit_expert`` and as ``learned_reward``, both ``[..., 1]``: log D - log(1 - D) is the reward
-    that imitation maximises. (Ho and Ermon, 2016; as the baseline of Yu et al., 2019, Section 5,
-    it sees no context.)
+    that imitation maximises.
+
+    Source: Ho and Ermon (2016), "Generative Adversarial Imitation Learning", arXiv:1606.03476. As
+    the baseline of Yu, Yu, Finn and Ermon (2019), arXiv:1909.09314, Section 5, it sees no context.
+
+    Attributes:
+        observation_key, action_key: what it reads.
+        reward_key, logit_key: where the logit is written, under both names.
 
     Args:
         observation_dim, action_dim: S and A.
@@ -90,8 +143,12 @@ class GAILDiscriminator(TensorDictModuleBase):
         standardize: Standardize | None = None,
     ) -> None:
         super().__init__()
-        self.in_keys: list[NestedKey] = ["observation", "action"]
-        self.out_keys: list[NestedKey] = ["learned_reward", "logit_expert"]
+        self.observation_key: NestedKey = "observation"
+        self.action_key: NestedKey = "action"
+        self.reward_key: NestedKey = "learned_reward"
+        self.logit_key: NestedKey = "logit_expert"
+        self.in_keys: list[NestedKey] = [self.observation_key, self.action_key]
+        self.out_keys: list[NestedKey] = [self.reward_key, self.logit_key]
         self.standardize = standardize or Standardize.identity(observation_dim)
         self.net = MLP(
             in_features=observation_dim + action_dim,
@@ -100,10 +157,18 @@ class GAILDiscriminator(TensorDictModuleBase):
             activation_class=activation,
         )
 
+    @property
+    def role_keys(self) -> dict[str, NestedKey]:
+        """Where each of ``roles`` stands in a batch."""
+        return {"observation": self.observation_key, "action": self.action_key}
+
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the logit into ``tensordict``, under both names."""
-        observation, action = (tensordict[key] for key in self.in_keys)
+        """Write the logit into ``tensordict``, under both names.
+
+        Raises:
+            MissingKeyError: the batch lacks one of ``in_keys``.
+        """
+        observation = read(tensordict, self.observation_key, "GAILDiscriminator")
+        action = read(tensordict, self.action_key, "GAILDiscriminator")
         logit = self.net(self.standardize(observation), action)
-        for key in self.out_keys:
-            tensordict.set(key, logit)
-        return tensordict
+        return tensordict.set(self.reward_key, logit).set(self.logit_key, logit)

@@ -22,7 +22,7 @@ ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
 
 @dataclass(frozen=True, config=CHECKED)
 class ModelConfig:
-    """Sizes of the paper's networks (Yu et al., 2019, Appendix E.1), all with ReLU.
+    """Sizes of the networks, those of Yu et al. (2019, arXiv:1909.09314), Appendix E.1, with ReLU.
 
     Attributes:
         context_dim: D, dimension of the latent context; 0 for methods that know none.
@@ -48,7 +48,10 @@ class ModelConfig:
 
 
 class PEMIRLModel(nn.Module):
-    """q_psi(m|tau), r_theta(s, m) with h_phi(s, m), and pi_omega(a|s, m), for one domain.
+    """The networks of one domain: q_psi(m|tau), r_theta(s, m) with h_phi(s, m), pi_omega(a|s, m).
+
+    Source: Yu, Yu, Finn and Ermon (2019), "Meta-Inverse Reinforcement Learning with Probabilistic
+    Context Variables", arXiv:1909.09314.
 
     Attributes:
         encoder, reward, policy: the three networks; they share the map of observations.
@@ -58,6 +61,16 @@ class PEMIRLModel(nn.Module):
         observation_dim, action_dim, horizon: S, A and T of the domain.
         config: sizes.
         standardize: the map of observations, commonly fitted on the demonstrations.
+
+    Raises:
+        ValueError: an unknown kind of encoder or of reward.
+
+    Example:
+        >>> model = PEMIRLModel(6, 2, 10, ModelConfig(context_dim=2))
+        >>> model.policy.context_key, model.reward.reward_key
+        ('context', 'learned_reward')
+        >>> PEMIRLModel(6, 2, 10, ModelConfig(encoder="masked")).encoder.context_dim
+        3
     """
 
     def __init__(
@@ -110,7 +123,7 @@ class PEMIRLModel(nn.Module):
     def new_policy(
         self, scale: float | None = None, *, learn_scale: bool = True, activation: str = "relu"
     ) -> ContextPolicy:
-        """A freshly initialised policy of this model's sizes, as adaptation starts from.
+        """Return a freshly initialised policy of this model's sizes, as adaptation starts from.
 
         Args:
             scale: deviation before training; None takes the configured one.
@@ -136,7 +149,7 @@ class PEMIRLModel(nn.Module):
     def trained_policy(
         self, scale: float | None = None, *, learn_scale: bool = True
     ) -> ContextPolicy:
-        """A copy of this model's policy, to be trained on: its mean, with a deviation of its own.
+        """Return a copy of this model's policy, its mean with a deviation of its own, to train on.
 
         Args:
             scale, learn_scale: of the deviation, as in :meth:`new_policy`.

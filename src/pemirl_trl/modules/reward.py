@@ -11,15 +11,22 @@ from torch import Tensor, nn
 from torchrl.modules import MLP
 
 from pemirl_trl.functional import shaped_reward
+from pemirl_trl.modules.reading import beside, read
 from pemirl_trl.modules.standardize import Standardize
 
 
 class ShapedReward(TensorDictModuleBase):
-    r"""f(s, a, s', m) = r_theta(s, m) + gamma h_phi(s', m) - h_phi(s, m).
+    r"""The learned reward and its shaping, f(s, a, s', m) = r(s, m) + gamma h(s', m) - h(s, m).
 
     Reads ``observation`` and ``("next", "observation")`` ``[..., S]`` and ``context``
-    ``[..., D]``; writes ``learned_reward`` (r) and ``shaped_reward`` (f), both ``[..., 1]``.
-    (Yu et al., 2019, Appendix E.1: r and h are MLPs of 2 x 32.)
+    ``[..., D]``; writes ``learned_reward`` (r) and ``shaped_reward`` (f), both ``[..., 1]``. Where
+    the next observation is missing, only r is written. r and h are MLPs of 2 x 32, as in Appendix
+    E.1 of Yu, Yu, Finn and Ermon (2019), "Meta-Inverse Reinforcement Learning with Probabilistic
+    Context Variables", arXiv:1909.09314.
+
+    Attributes:
+        observation_key, next_observation_key, context_key: what it reads.
+        reward_key, shaped_reward_key: where r and f are written.
 
     Args:
         observation_dim, context_dim: S and D.
@@ -29,9 +36,22 @@ class ShapedReward(TensorDictModuleBase):
         reward_features: which components of an observation r reads; None: all. The potential reads
             all. An extension of the paper: where new dynamics force other postures upon the body, a
             reward of every joint asks for the old ones.
+        context_key: where m stands.
 
     Raises:
         ValueError: a component that observations do not have, or one twice.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> reward = ShapedReward(observation_dim=6, context_dim=3)
+        >>> states, m = torch.randn(5, 6), torch.randn(1, 3)  # one context for all states
+        >>> reward.reward(states, m).shape
+        torch.Size([5, 1])
+        >>> batch = TensorDict({"observation": states, "context": m.expand(5, 3)}, [5])
+        >>> batch["next", "observation"] = torch.randn(5, 6)
+        >>> reward(batch)[reward.shaped_reward_key].shape
+        torch.Size([5, 1])
     """
 
     in_keys: list[NestedKey]
@@ -51,8 +71,13 @@ class ShapedReward(TensorDictModuleBase):
     ) -> None:
         super().__init__()
         self.reward_features = _checked(reward_features, observation_dim)
-        self.in_keys = ["observation", ("next", "observation"), context_key]
-        self.out_keys = ["learned_reward", "shaped_reward"]
+        self.observation_key: NestedKey = "observation"
+        self.next_observation_key: NestedKey = ("next", "observation")
+        self.context_key = context_key
+        self.reward_key: NestedKey = "learned_reward"
+        self.shaped_reward_key: NestedKey = "shaped_reward"
+        self.in_keys = [self.observation_key, self.next_observation_key, self.context_key]
+        self.out_keys = [self.reward_key, self.shaped_reward_key]
         self.gamma = gamma
         self.standardize = standardize or Standardize.identity(observation_dim)
         read = observation_dim if self.reward_features is None else len(self.reward_features)
@@ -67,23 +92,35 @@ class ShapedReward(TensorDictModuleBase):
         )
 
     def reward(self, observation: Tensor, context: Tensor) -> Tensor:
-        """r(s, m) ``[..., 1]`` of observations ``[..., S]`` and contexts ``[..., D]``."""
+        """Return r(s, m) ``[..., 1]``, without a unit.
+
+        Args:
+            observation: ``[..., S]``.
+            context: ``[..., D]``; ``[D]``, or a size of 1, serves all observations.
+
+        Raises:
+            ValueError: the two shapes do not fit.
+        """
         state = self.standardize(observation)
         if self.reward_features is not None:
             state = state[..., self.reward_features]
-        return self.reward_net(state, context)
+        return self.reward_net(state, beside(context, observation))
 
     def potential(self, observation: Tensor, context: Tensor) -> Tensor:
-        """h(s, m) ``[..., 1]`` of observations ``[..., S]`` and contexts ``[..., D]``."""
-        return self.potential_net(self.standardize(observation), context)
+        """Return h(s, m) ``[..., 1]``; shapes and errors are those of :meth:`reward`."""
+        return self.potential_net(self.standardize(observation), beside(context, observation))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write r and, where the next observation is given, f into ``tensordict``."""
-        key, next_key, context_key = self.in_keys
-        observation, context = tensordict[key], tensordict[context_key]
-        next_observation = tensordict.get(next_key, None)
+        """Write r and, where the next observation is given, f into ``tensordict``.
+
+        Raises:
+            MissingKeyError: the batch lacks the observation or the context.
+        """
+        observation = read(tensordict, self.observation_key, "ShapedReward", "observation")
+        context = read(tensordict, self.context_key, "ShapedReward", "context")
+        next_observation = tensordict.get(self.next_observation_key, None)
         reward = self.reward(observation, context)
-        tensordict.set(self.out_keys[0], reward)
+        tensordict.set(self.reward_key, reward)
         if next_observation is None:  # r is a function of the state: maps of it have no next one
             return tensordict
         shaped = shaped_reward(
@@ -92,7 +129,7 @@ class ShapedReward(TensorDictModuleBase):
             self.potential(next_observation, context),
             self.gamma,
         )
-        return tensordict.set(self.out_keys[1], shaped)
+        return tensordict.set(self.shaped_reward_key, shaped)
 
 
 def _checked(features: Sequence[int] | None, observation_dim: int) -> list[int] | None:

@@ -9,13 +9,25 @@ from torch import Tensor, nn
 
 
 class Standardize(nn.Module):
-    """(x - loc) / scale with fixed ``loc`` and ``scale``, part of a model's saved state.
+    """The affine map (x - loc) / scale with fixed ``loc`` and ``scale``, saved with a model.
 
     Every network of a model holds the same map, so that networks take raw observations and
     gradients with respect to observations can be stated in standardised units.
 
     Args:
-        loc, scale: ``[S]``; the scale is positive.
+        loc, scale: ``[S]``, in the units of an observation; the scale is positive.
+
+    Raises:
+        ValueError: the shapes differ or are not ``[S]``, or a scale is not positive.
+
+    Example:
+        >>> import torch
+        >>> heights = torch.tensor([[1.0, 10.0], [3.0, 30.0], [5.0, 50.0]])
+        >>> standardize = Standardize.fit(heights)
+        >>> standardize(heights)
+        tensor([[-1., -1.],
+                [ 0.,  0.],
+                [ 1.,  1.]])
     """
 
     loc: Tensor
@@ -35,24 +47,27 @@ class Standardize(nn.Module):
 
     @classmethod
     def identity(cls, features: int) -> Self:
-        """The map that changes nothing."""
+        """Return the map that changes nothing, for vectors of so many features."""
         return cls(torch.zeros(features), torch.ones(features))
 
     @classmethod
     def fit(cls, values: Tensor) -> Self:
-        """Zero mean and unit deviation of ``values`` ``[..., S]``.
+        """Return the map to zero mean and unit deviation of ``values`` ``[..., S]``.
 
         Constants keep scale 1, and no scale is below a tenth of the median feature's. What hardly
         varies, such as the height of an object that lies on a table, would otherwise be noise of
-        unit deviation, and hundreds of deviations off once the object falls over.
+        unit deviation, and hundreds of deviations off once the object falls over. The map is of
+        torch's default dtype, whatever that of the values: so are the networks that share it.
         """
         rows = values.reshape(-1, values.shape[-1])
-        return cls(rows.mean(0), _scale(rows.std(0)))
+        dtype = torch.get_default_dtype()
+        return cls(rows.mean(0).to(dtype), _scale(rows.std(0)).to(dtype))
 
     @classmethod
     def from_moments(cls, mean: Tensor, variance: Tensor) -> Self:
-        """The same of data with this ``mean`` and ``variance`` ``[S]``, in float32."""
-        return cls(mean.float(), _scale(variance.sqrt().float()))
+        """Return what :meth:`fit` would of data with this ``mean`` and ``variance`` ``[S]``."""
+        dtype = torch.get_default_dtype()
+        return cls(mean.to(dtype), _scale(variance.sqrt().to(dtype)))
 
     @property
     def features(self) -> int:

@@ -11,21 +11,27 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 
 from pemirl_trl.functional import binary_classification_loss
-from pemirl_trl.modules import AIRLDiscriminator, GAILDiscriminator
+from pemirl_trl.modules import AIRLDiscriminator, GAILDiscriminator, ShapedReward
+from pemirl_trl.modules.reading import DISCRIMINATOR
 from pemirl_trl.objectives.common import KeyedLoss
 
 
 class DiscriminatorLoss(KeyedLoss):
     r"""Cross-entropy of D over expert and policy transitions, for the discriminator's parameters.
 
-    ``loss_discriminator`` = mean over the batch of softplus(-logit) on expert transitions and
-    softplus(logit) on policy transitions (Algorithm 1, Yu et al., 2019). Give both in equal number.
+    ``loss_discriminator`` is the mean over the batch of softplus(-logit) on expert transitions and
+    softplus(logit) on policy transitions, in nats: Algorithm 1 of Yu, Yu, Finn and Ermon (2019),
+    "Meta-Inverse Reinforcement Learning with Probabilistic Context Variables", arXiv:1909.09314.
+    Give both in equal number.
 
-    ``loss_gradient_penalty`` = c (E_policy |grad_s r|^2 + E_expert |grad_s r|^2), the R1
-    penalty of Mescheder et al. (2018) on r alone, the gradient taken in standardised
-    observations. It is an extension of the paper and present only where c > 0.
+    ``loss_gradient_penalty`` is c (E_policy |grad_s r|^2 + E_expert |grad_s r|^2), the R1 penalty
+    of Mescheder, Geiger and Nowozin (2018), "Which Training Methods for GANs do actually
+    Converge?", arXiv:1801.04406, on r alone, the gradient taken in standardised observations. It
+    is an extension of the paper and present only where c > 0.
 
     Metrics (detached): ``accuracy``, ``logit_expert_mean``, ``logit_policy_mean``.
+
+    The keys are those of the discriminator unless ``set_keys`` says otherwise.
 
     Args:
         discriminator: gives ``logit_expert``; its ``roles`` say what it reads.
@@ -33,6 +39,28 @@ class DiscriminatorLoss(KeyedLoss):
             this loss's gradient to the encoder psi, as in the authors' code.
         gradient_penalty_coeff: c.
         reduction: ``"mean"``, ``"sum"`` or ``"none"`` of ``loss_discriminator``.
+
+    Raises:
+        TypeError: no discriminator was given.
+        MissingKeyError: on a call, the batch lacks a key.
+
+    Example:
+        >>> from torch import randn, tensor
+        >>> from tensordict import TensorDict
+        >>> reward = ShapedReward(observation_dim=6, context_dim=3)
+        >>> loss = DiscriminatorLoss(AIRLDiscriminator(reward))
+        >>> batch = TensorDict(
+        ...     {
+        ...         "observation": randn(4, 6),
+        ...         "next": {"observation": randn(4, 6)},
+        ...         "context": randn(4, 3),
+        ...         "action_log_prob": randn(4),
+        ...         "is_expert": tensor([True, True, False, False]),
+        ...     },
+        ...     [4],
+        ... )
+        >>> sorted(loss(batch).keys())
+        ['accuracy', 'logit_expert_mean', 'logit_policy_mean', 'loss_discriminator']
     """
 
     @dataclass
@@ -59,6 +87,8 @@ class DiscriminatorLoss(KeyedLoss):
         gradient_penalty_coeff: float = 0.0,
         reduction: str = "mean",
     ) -> None:
+        wrap = "wrap it, AIRLDiscriminator(reward)"
+        DISCRIMINATOR.required(discriminator, "DiscriminatorLoss", [(ShapedReward, wrap)])
         super().__init__()
         self.convert_to_functional(
             discriminator, "discriminator_network", create_target_params=False
@@ -69,6 +99,7 @@ class DiscriminatorLoss(KeyedLoss):
         penalty = ["loss_gradient_penalty"] if gradient_penalty_coeff > 0 else []
         metrics = ["accuracy", "logit_expert_mean", "logit_policy_mean"]
         self.out_keys = ["loss_discriminator", *penalty, *metrics]
+        self.set_keys(**discriminator.role_keys)
 
     def _input_keys(self) -> list[NestedKey]:
         roles = (*self.discriminator_network.roles, "is_expert")
@@ -82,33 +113,36 @@ class DiscriminatorLoss(KeyedLoss):
             tensordict: any batch size ``[...]``, with what the discriminator reads (``observation``
                 and some of ``("next", "observation")``, ``action``, ``context``,
                 ``action_log_prob``) and boolean ``is_expert``, ``[...]`` or ``[..., 1]``.
+
+        Raises:
+            MissingKeyError: the batch lacks one of ``in_keys``.
         """
-        roles = self.discriminator_network.roles
-        values = {role: tensordict[getattr(self.tensor_keys, role)] for role in roles}
-        is_expert = tensordict[self.tensor_keys.is_expert]
+        network = self.discriminator_network
+        values = {role: self._read(tensordict, role) for role in network.roles}
+        is_expert = self._read(tensordict, "is_expert")
         for role in ("action_log_prob", *(("context",) if self.detach_context else ())):
             if role in values:
                 values[role] = values[role].detach()
         penalised = self.gradient_penalty_coeff > 0 and torch.is_grad_enabled()
         if penalised:
             values["observation"] = values["observation"].detach().requires_grad_()
-        names = self.discriminator_network.in_keys
-        inputs = TensorDict(dict(zip(names, values.values(), strict=True)), tensordict.batch_size)
-        with self.discriminator_network_params.to_module(
-            self.discriminator_network, preserve_module_state=False
-        ):
-            outputs = self.discriminator_network(inputs)
-            scale = self.discriminator_network.standardize.scale
-        logit = outputs[self.discriminator_network.out_keys[-1]]
+        inputs = TensorDict(
+            {network.role_keys[role]: value for role, value in values.items()},
+            tensordict.batch_size,
+        )
+        with self.discriminator_network_params.to_module(network, preserve_module_state=False):
+            outputs = network(inputs)
+            scale = network.standardize.scale
+        logit = outputs[network.logit_key]
         is_expert = is_expert.view(logit.shape).bool()
         loss = binary_classification_loss(logit, is_expert).squeeze(-1)
         result = TensorDict({"loss_discriminator": self._reduce_loss(loss, tensordict)})
         if penalised:
-            reward = outputs[self.discriminator_network.out_keys[0]]
+            reward = outputs[network.reward_key]
             penalty = _squared_slope(reward, values["observation"], scale, is_expert)
             result["loss_gradient_penalty"] = self.gradient_penalty_coeff * penalty
         elif self.gradient_penalty_coeff > 0:
-            result["loss_gradient_penalty"] = torch.zeros(())
+            result["loss_gradient_penalty"] = torch.zeros_like(loss.mean())
         return result.update(_metrics(logit.detach(), is_expert))
 
 
@@ -124,7 +158,7 @@ def _mean_where(values: Tensor, mask: Tensor) -> Tensor:
 
 def _metrics(logit: Tensor, is_expert: Tensor) -> dict[str, Tensor]:
     return {
-        "accuracy": ((logit > 0) == is_expert).float().mean(),
+        "accuracy": ((logit > 0) == is_expert).to(logit.dtype).mean(),
         "logit_expert_mean": _mean_where(logit, is_expert),
         "logit_policy_mean": _mean_where(logit, ~is_expert),
     }

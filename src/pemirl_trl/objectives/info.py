@@ -12,16 +12,18 @@ from tensordict.utils import NestedKey
 
 from pemirl_trl.functional import info_encoder_loss, info_reward_loss
 from pemirl_trl.modules import ShapedReward
-from pemirl_trl.objectives.common import KeyedLoss, per_rollout
+from pemirl_trl.modules.reading import ENCODER, REWARD
+from pemirl_trl.objectives.common import KeyedLoss, per_rollout, require_time
 
 Summand = Literal["shaped", "state"]
 
 
 class InfoLoss(KeyedLoss):
-    r"""L_info = E log q_psi(m|tau) over rollouts of the policy, as two losses.
+    r"""The mutual information L_info = E log q_psi(m|tau) over the policy's rollouts, two losses.
 
     - ``loss_info_encoder`` = -mean log q_psi(m|tau), with m the context that produced the rollout,
-      as data: its gradient reaches psi alone (Equation 7 of Yu et al., 2019);
+      as data: its gradient reaches psi alone (Equation 7 of Yu, Yu, Finn and Ermon, 2019,
+      "Meta-Inverse Reinforcement Learning with Probabilistic Context Variables", arXiv:1909.09314);
     - ``loss_info_reward``: its gradient reaches theta (and phi) alone and is an unbiased estimate
       of minus Lemma 2, Cov(log q, grad R_theta) within each context; see
       :func:`pemirl_trl.functional.info_reward_loss`.
@@ -37,6 +39,28 @@ class InfoLoss(KeyedLoss):
             potentials telescope to the end states, or ``"state"`` r alone.
         time_mean: average over time instead of summing, which divides the estimate by T.
         normalize: divide log q by its deviation over the batch, which rescales the estimate.
+
+    Raises:
+        TypeError: encoder or reward is none.
+        ValueError: an unknown summand, or K < 2.
+
+    Example:
+        >>> import torch
+        >>> from pemirl_trl import ContextEncoder
+        >>> loss = InfoLoss(
+        ...     ContextEncoder(6, 2, 3, horizon=10), ShapedReward(6, 3), rollouts_per_context=2
+        ... )
+        >>> rollouts = TensorDict(
+        ...     {
+        ...         "observation": torch.randn(4, 10, 6),
+        ...         "action": torch.randn(4, 10, 2),
+        ...         "next": {"observation": torch.randn(4, 10, 6)},
+        ...         "context": torch.randn(2, 1, 3).repeat_interleave(2, 0).expand(4, 10, 3),
+        ...     },
+        ...     [4, 10],
+        ... )
+        >>> sorted(loss(rollouts).keys())
+        ['log_q', 'loss_info_encoder', 'loss_info_reward']
     """
 
     @dataclass
@@ -73,6 +97,8 @@ class InfoLoss(KeyedLoss):
             raise ValueError(
                 f"a covariance needs at least 2 rollouts per context, got {rollouts_per_context}"
             )
+        ENCODER.required(encoder, "InfoLoss")
+        REWARD.required(reward, "InfoLoss")
         super().__init__()
         self.convert_to_functional(encoder, "encoder_network", create_target_params=False)
         self.convert_to_functional(reward, "reward_network", create_target_params=False)
@@ -80,6 +106,7 @@ class InfoLoss(KeyedLoss):
         self.summand = summand
         self.time_mean = time_mean
         self.normalize = normalize
+        self.set_keys(context=reward.context_key)
 
     def _input_keys(self) -> list[NestedKey]:
         k = self.tensor_keys
@@ -92,10 +119,16 @@ class InfoLoss(KeyedLoss):
         Args:
             tensordict: rollouts ``[N, T]`` or ``[N]`` with leaves ``[N, T, ...]``, N = M K,
                 context-major; ``context`` is ``[N, T, D]``, constant along T.
+
+        Raises:
+            MissingKeyError: the batch lacks one of ``in_keys``.
+            ValueError: it has no dimension of time, or its rows are not K rollouts per context.
         """
         observation, action, next_observation, context = (
-            tensordict[key] for key in self._input_keys()
+            self._read(tensordict, role)
+            for role in ("observation", "action", "next_observation", "context")
         )
+        require_time(observation, "InfoLoss", "observation")
         rollouts = observation.shape[0]
         groups, rest = divmod(rollouts, self.rollouts_per_context)
         if rest:
@@ -116,15 +149,16 @@ class InfoLoss(KeyedLoss):
             log_q = self.encoder_network.get_dist(inputs).log_prob(m.flatten(0, 1))  # [N]
         inputs = TensorDict(
             {
-                "observation": observation,
-                ("next", "observation"): next_observation,
-                self.reward_network.in_keys[2]: context.detach(),
+                self.reward_network.observation_key: observation,
+                self.reward_network.next_observation_key: next_observation,
+                self.reward_network.context_key: context.detach(),
             },
             observation.shape[:2],
         )
         with self.reward_network_params.to_module(self.reward_network, preserve_module_state=False):
             outputs = self.reward_network(inputs)
-        key = self.reward_network.out_keys[1 if self.summand == "shaped" else 0]
+        shaped = self.summand == "shaped"
+        key = self.reward_network.shaped_reward_key if shaped else self.reward_network.reward_key
         per_step = outputs[key].squeeze(-1)  # [N, T]
         returns = per_step.mean(-1) if self.time_mean else per_step.sum(-1)
         shape = (groups, self.rollouts_per_context)

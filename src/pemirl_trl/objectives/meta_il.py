@@ -4,28 +4,44 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictParams, dispatch
 from tensordict.utils import NestedKey
 
 from pemirl_trl.functional import kl_to_standard_normal
-from pemirl_trl.objectives.common import KeyedLoss
+from pemirl_trl.modules.reading import ENCODER, POLICY, key_of
+from pemirl_trl.objectives.common import KeyedLoss, require_time
 
 
 class MetaILLoss(KeyedLoss):
     r"""The negative evidence bound of Meta-IL, for psi and omega together.
 
     ``loss_imitation`` = -mean_t log pi(a_t|s_t, m), m ~ q_psi(m|tau) by reparameterisation, and
-    ``loss_kl`` = kl_coeff * KL(q_psi(m|tau) || N(0, I)). (Yu et al., 2019, Section 4; the
-    coefficient 0.1 is that of the authors' code.)
+    ``loss_kl`` = kl_coeff * KL(q_psi(m|tau) || N(0, I)), both in nats. Source: Section 4 of Yu, Yu,
+    Finn and Ermon (2019), "Meta-Inverse Reinforcement Learning with Probabilistic Context
+    Variables", arXiv:1909.09314; the coefficient 0.1 is that of the authors' code.
 
     Metrics (detached): ``kl`` in nats.
 
     Args:
         encoder: q_psi.
-        policy: pi_omega.
+        policy: pi_omega; its ``observation_key`` and ``context_key``, where it has these, say where
+            it reads s and m. By default ``observation`` and ``context``.
         kl_coeff: weight of the KL term, per trajectory, against the likelihood per step.
+
+    Raises:
+        TypeError: encoder or policy is none.
+        ValueError: the policy reads no context; on a call, the batch has no time.
+        MissingKeyError: on a call, the batch lacks a key.
+
+    Example:
+        >>> import torch
+        >>> from pemirl_trl import ContextEncoder, ContextPolicy, DemonstrationDataset
+        >>> demonstrations = DemonstrationDataset(torch.randn(8, 11, 6), torch.randn(8, 10, 2))
+        >>> loss = MetaILLoss(ContextEncoder(6, 2, 3, horizon=10), ContextPolicy(6, 2, 3))
+        >>> losses = loss(demonstrations)  # or its trajectories()
+        >>> sorted(losses.keys())
+        ['kl', 'loss_imitation', 'loss_kl']
     """
 
     @dataclass
@@ -51,7 +67,11 @@ class MetaILLoss(KeyedLoss):
         *,
         kl_coeff: float = 0.1,
     ) -> None:
+        ENCODER.required(encoder, "MetaILLoss")
+        POLICY.required(policy, "MetaILLoss")
         super().__init__()
+        self._policy_observation = key_of(policy, "observation")
+        self._policy_context = key_of(policy, "context")
         self.convert_to_functional(encoder, "encoder_network", create_target_params=False)
         self.convert_to_functional(policy, "actor_network", create_target_params=False)
         self.kl_coeff = kl_coeff
@@ -61,8 +81,19 @@ class MetaILLoss(KeyedLoss):
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
-        """Compute both losses on demonstrations of one length, leaves ``[N, T, ...]``."""
-        observation, action = (tensordict[key] for key in self._input_keys())
+        """Compute both losses.
+
+        Args:
+            tensordict: demonstrations of one length, leaves ``[N, T, ...]``, or a data set with a
+                method ``trajectories``.
+
+        Raises:
+            MissingKeyError: it lacks one of ``in_keys``.
+            ValueError: its leaves have no dimension of time.
+        """
+        observation = self._read(tensordict, "observation")
+        action = self._read(tensordict, "action")
+        require_time(observation, "MetaILLoss", "observation")
         inputs = TensorDict({"observation": observation, "action": action}, observation.shape[:1])
         with self.encoder_network_params.to_module(
             self.encoder_network, preserve_module_state=False
@@ -72,7 +103,11 @@ class MetaILLoss(KeyedLoss):
         m = posterior.rsample()
         steps = observation.shape[:2]
         context = m.unsqueeze(1).expand(*steps, m.shape[-1])
-        log_prob = _log_prob(self, observation, action, context)
+        inputs = TensorDict(
+            {self._policy_observation: observation, self._policy_context: context}, steps
+        )
+        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
+            log_prob = self.actor_network.get_dist(inputs).log_prob(action)
         kl = kl_to_standard_normal(posterior.mean, posterior.stddev).mean()
         return TensorDict(
             {
@@ -81,12 +116,3 @@ class MetaILLoss(KeyedLoss):
                 "kl": kl.detach(),
             }
         )
-
-
-def _log_prob(
-    loss: MetaILLoss, observation: torch.Tensor, action: torch.Tensor, context: torch.Tensor
-) -> torch.Tensor:
-    keys = loss.actor_network.in_keys
-    inputs = TensorDict(dict(zip(keys, (observation, context), strict=True)), observation.shape[:2])
-    with loss.actor_network_params.to_module(loss.actor_network, preserve_module_state=False):
-        return loss.actor_network.get_dist(inputs).log_prob(action)

@@ -25,17 +25,40 @@ from pemirl_trl.functional import (
     standardize,
     time_polynomial_features,
 )
-from pemirl_trl.objectives.common import KeyedLoss
+from pemirl_trl.modules.reading import read
+from pemirl_trl.objectives.common import KeyedLoss, require_time
 
 AdvantageGroup = Literal["batch", "context"]
 
 
 class ValueLoss(KeyedLoss):
-    """``loss_value`` = mean squared error of ``state_value`` against ``value_target``.
+    """The value's regression: ``loss_value`` = mean (V(s, m, t) - target)^2.
+
+    The target is :class:`FiniteHorizonAdvantage`'s ``value_target`` ``[..., 1]``, as data; the loss
+    is in squared units of the reward.
 
     Args:
-        value: gives ``state_value`` ``[..., 1]``.
+        value: writes V ``[..., 1]`` where its ``value_key`` says, by default ``state_value``.
         reduction: ``"mean"``, ``"sum"`` or ``"none"``.
+
+    Raises:
+        MissingKeyError: on a call, the batch lacks a key.
+
+    Example:
+        >>> import torch
+        >>> from pemirl_trl import ContextValue
+        >>> value = ContextValue(observation_dim=6, context_dim=3, horizon=10)
+        >>> advantage, loss = FiniteHorizonAdvantage(value=value), ValueLoss(value)
+        >>> rollouts = TensorDict(
+        ...     {
+        ...         "observation": torch.randn(4, 10, 6),
+        ...         "context": torch.randn(4, 10, 3),
+        ...         "next": {"reward": torch.randn(4, 10, 1)},
+        ...     },
+        ...     [4, 10],
+        ... )
+        >>> loss(advantage(rollouts))["loss_value"].shape
+        torch.Size([])
     """
 
     @dataclass
@@ -55,43 +78,81 @@ class ValueLoss(KeyedLoss):
         super().__init__()
         self.convert_to_functional(value, "value_network", create_target_params=False)
         self.reduction = reduction
+        self.set_keys(value=_value_key(value))
 
     def _input_keys(self) -> list[NestedKey]:
         return [*self.value_network.in_keys, self.tensor_keys.value_target]
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
-        """Compute the loss; ``value_target`` is ``[..., 1]``."""
-        inputs = tensordict.select(*self.value_network.in_keys)
+        """Compute the loss.
+
+        Args:
+            tensordict: with what the value reads and ``value_target`` ``[..., 1]``.
+
+        Raises:
+            MissingKeyError: it lacks one of ``in_keys``.
+        """
+        target = self._read(tensordict, "value_target")
+        inputs = _inputs(self.value_network, tensordict, "ValueLoss")
         with self.value_network_params.to_module(self.value_network, preserve_module_state=False):
             value = self.value_network(inputs)[self.tensor_keys.value]
-        target = tensordict[self.tensor_keys.value_target]
         loss = mse_loss(value, target.detach(), reduction="none")
         return TensorDict({"loss_value": self._reduce_loss(loss, tensordict)})
+
+
+def _value_key(value: TensorDictModuleBase) -> NestedKey:
+    return getattr(value, "value_key", "state_value")
+
+
+def _inputs(network: TensorDictModuleBase, batch: TensorDictBase, reader: str) -> TensorDictBase:
+    for key in network.in_keys:
+        read(batch, key, reader)
+    return batch.select(*network.in_keys)
 
 
 class FiniteHorizonAdvantage:
     """Generalised advantages of whole episodes ``[N, T]`` with a baseline.
 
-    Writes ``advantage`` and ``value_target``, both ``[N, T, 1]``. The baseline is a value
-    network, or, with ``value=None``, the linear one of Duan et al. (2016), fitted in closed form to
-    the returns of each context's own batch of rollouts on (s, s^2, t, t^2, t^3, 1). The return of
-    their mean reward is taken out before the fit and added after it, so that a constant in the
-    reward leaves advantages as they are. Where a context has few more transitions than these
-    2 S + 4 features, the fit would interpolate: use a network.
+    A_t = sum_k (gamma lmbda)^k (r_{t+k} + gamma V_{t+k+1} - V_{t+k}) with V = 0 after the last
+    step: Equation 16 of Schulman, Moritz, Levine, Jordan and Abbeel (2016), "High-Dimensional
+    Continuous Control Using Generalized Advantage Estimation", arXiv:1506.02438.
+
+    Writes ``advantage`` and ``value_target``, both ``[N, T, 1]``; the target is in the reward's
+    units, and so is the advantage before it is standardised. The baseline is a value network, or,
+    with ``value=None``, the linear one of Duan, Chen, Houthooft, Schulman and Abbeel (2016),
+    "Benchmarking Deep Reinforcement Learning for Continuous Control", arXiv:1604.06778, fitted in
+    closed form to the returns of each context's own batch of rollouts on (s, s^2, t, t^2, t^3, 1).
+    The return of their mean reward is taken out before the fit and added after it, so that a
+    constant in the reward leaves advantages as they are. Where a context has few more transitions
+    than these 2 S + 4 features, the fit would interpolate: use a network.
 
     Args:
-        gamma: discount.
+        gamma: discount per step.
         lmbda: of the generalised advantage; 1 gives return-to-go minus baseline.
         rollouts_per_context: how many consecutive rollouts share a linear fit.
-        value: gives ``state_value`` ``[N, T, 1]``; run without gradients.
+        value: writes V ``[N, T, 1]`` where its ``value_key`` says, by default ``state_value``; run
+            without gradients. None: the linear baseline.
         observation_map: applied to observations before the linear fit (their standardisation).
         standardize: over what advantages get zero mean and unit deviation: the ``"batch"``, the
             rollouts of each ``"context"``, so that no task's returns outweigh the others', or None.
         reward_key: which reward to use.
+        observation_key: what the linear baseline is fitted on.
 
     Raises:
-        ValueError: ``standardize`` is none of these.
+        ValueError: ``standardize`` is none of these; on a call, the batch has no time, or its rows
+            are not K rollouts per context.
+        MissingKeyError: on a call, the batch lacks the reward or what the baseline reads.
+
+    Example:
+        >>> import torch
+        >>> rollouts = TensorDict(
+        ...     {"observation": torch.randn(4, 10, 2), "next": {"reward": torch.randn(4, 10, 1)}},
+        ...     [4, 10],
+        ... )
+        >>> rollouts = FiniteHorizonAdvantage(gamma=0.99, rollouts_per_context=2)(rollouts)
+        >>> rollouts["advantage"].shape, bool(rollouts["advantage"].mean().abs() < 1e-5)
+        (torch.Size([4, 10, 1]), True)
     """
 
     def __init__(
@@ -104,6 +165,7 @@ class FiniteHorizonAdvantage:
         observation_map: Callable[[Tensor], Tensor] = lambda x: x,
         standardize: AdvantageGroup | None = "batch",
         reward_key: NestedKey = ("next", "reward"),
+        observation_key: NestedKey = "observation",
     ) -> None:
         if standardize not in (None, *get_args(AdvantageGroup)):
             raise ValueError(
@@ -116,12 +178,21 @@ class FiniteHorizonAdvantage:
         self.value = value
         self.observation_map = observation_map
         self.standardize = standardize
-        self.reward_key = reward_key
+        self.reward_key, self.observation_key = reward_key, observation_key
 
     @torch.no_grad()
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``advantage`` and ``value_target`` into ``tensordict`` and return it."""
-        reward = tensordict[self.reward_key]  # [N, T, 1]
+        """Write ``advantage`` and ``value_target`` into ``tensordict`` and return it.
+
+        Args:
+            tensordict: rollouts ``[N, T]``, context-major, with the reward ``[N, T, 1]``.
+
+        Raises:
+            MissingKeyError: it lacks the reward or what the baseline reads.
+            ValueError: it has no dimension of time, or its rows are not K rollouts per context.
+        """
+        reward = read(tensordict, self.reward_key, "FiniteHorizonAdvantage")  # [N, T, 1]
+        require_time(reward, "FiniteHorizonAdvantage", "reward")
         value = self._baseline(tensordict, reward)
         next_value = torch.cat([value[:, 1:], torch.zeros_like(value[:, :1])], 1)
         end = torch.zeros_like(reward, dtype=torch.bool)
@@ -137,13 +208,15 @@ class FiniteHorizonAdvantage:
 
     def _baseline(self, tensordict: TensorDictBase, reward: Tensor) -> Tensor:
         if self.value is not None:
-            return self.value(tensordict.select(*self.value.in_keys))["state_value"]
+            inputs = _inputs(self.value, tensordict, "FiniteHorizonAdvantage")
+            return self.value(inputs)[_value_key(self.value)]
+        observation = read(tensordict, self.observation_key, "FiniteHorizonAdvantage")
         returns = self._by_context(discounted_return(reward.squeeze(-1), self.gamma).unsqueeze(-1))
         # What a constant reward of 1 returns is no cubic in t: a reward's level, which means
         # nothing, would leave an error in the baseline that buries its differences.
         annuity = discounted_return(torch.ones_like(reward.squeeze(-1)), self.gamma).unsqueeze(-1)
         level = self._by_context(reward).mean(1, keepdim=True) * self._by_context(annuity)
-        features = time_polynomial_features(self.observation_map(tensordict["observation"]))
+        features = time_polynomial_features(self.observation_map(observation)).to(reward.dtype)
         rest = ridge_prediction(self._by_context(features), (returns - level).squeeze(-1))
         return (level.squeeze(-1) + rest).view_as(reward)
 

@@ -16,6 +16,9 @@ def conjugate_gradient(
 ) -> tuple[Tensor, float]:
     """Solve A x = rhs for a symmetric positive definite A, starting at zero.
 
+    Source: Hestenes and Stiefel (1952), "Methods of Conjugate Gradients for Solving Linear
+    Systems", https://doi.org/10.6028/jres.049.044.
+
     Args:
         product: v -> A v, for vectors of rhs's shape ``[P]``.
         rhs: ``[P]``.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Literal, Protocol, get_args
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -12,7 +12,16 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
+from pemirl_trl.modules.reading import ENCODER, read, trajectories_of
+
 Draw = Literal["random", "all"]
+
+
+class TrajectorySource(Protocol):
+    """What gives trajectories, such as :class:`pemirl_trl.DemonstrationDataset`."""
+
+    def trajectories(self) -> TensorDictBase:
+        """Return them with batch size ``[J]`` and leaves ``[J, T, ...]``."""
 
 
 class InferContext(Transform):
@@ -27,23 +36,42 @@ class InferContext(Transform):
     that its own reward is the true one of that task: a metric. The learner never sees them: they
     reach the environment's reset, and no key that a network reads.
 
-    Writes ``context`` ``[N, D]`` and ``demonstration`` ``[N]`` (the index drawn).
+    Writes ``context`` ``[N, D]`` and ``demonstration`` ``[N]`` (the index drawn). Source: Algorithm
+    1 of Yu, Yu, Finn and Ermon (2019), "Meta-Inverse Reinforcement Learning with Probabilistic
+    Context Variables", arXiv:1909.09314.
 
     Args:
         encoder: q_psi; needs ``get_dist`` and ``context_dim``.
-        demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``, with the encoder's input keys.
+        demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``, with the encoder's input keys;
+            or a :class:`pemirl_trl.DemonstrationDataset`, of which the trajectories are taken, and
+            not the tasks: give these by ``tasks``.
         rollouts_per_context: K.
         draw: ``"random"``: M of the J demonstrations, uniformly and with replacement;
             ``"all"``: each of them, in order, which needs N = J K.
         sample: whether m is drawn from q or its mean.
         tasks: batch size ``[J]``, the environment's task parameters; optional.
+        context_key, index_key: where m and the index are written.
         task_key: where the environment reads them at reset.
+
+    Raises:
+        TypeError: no encoder was given.
+        ValueError: an unknown draw, or other than J tasks; at reset, environments that do not
+            divide into contexts, or a masked reset of a part of a group.
+
+    Example:
+        >>> from torchrl.envs import GymEnv, TransformedEnv
+        >>> from pemirl_trl import ContextEncoder, DemonstrationDataset
+        >>> demonstrations = DemonstrationDataset(torch.randn(8, 11, 3), torch.randn(8, 10, 1))
+        >>> infer = InferContext(ContextEncoder(3, 1, 2, horizon=10), demonstrations)
+        >>> env = TransformedEnv(GymEnv("Pendulum-v1"), infer)
+        >>> env.rollout(10)["context"].shape
+        torch.Size([10, 2])
     """
 
     def __init__(
         self,
         encoder: ProbabilisticTensorDictSequential,
-        demonstrations: TensorDictBase,
+        demonstrations: TensorDictBase | TrajectorySource,
         *,
         rollouts_per_context: int = 1,
         draw: Draw = "random",
@@ -55,6 +83,8 @@ class InferContext(Transform):
     ) -> None:
         if draw not in get_args(Draw):
             raise ValueError(f"unknown draw {draw!r}; choose one of {get_args(Draw)}")
+        ENCODER.required(encoder, "InferContext")
+        demonstrations = trajectories_of(demonstrations)
         if tasks is not None and tasks.batch_size[:1] != demonstrations.batch_size[:1]:
             raise ValueError(
                 f"got {demonstrations.batch_size[0]} demonstrations and {tasks.batch_size[0]} tasks"
@@ -117,14 +147,15 @@ class InferContext(Transform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key in (self.context_key, self.index_key):
-            next_tensordict.set(key, tensordict.get(key))
+            next_tensordict.set(key, read(tensordict, key, "InferContext", "context"))
         return next_tensordict
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the context and the demonstration's index."""
         shape, device = observation_spec.shape, observation_spec.device
+        weights = next(self.encoder.parameters(), torch.empty(0))  # without any: torch's default
         observation_spec[self.context_key] = Unbounded(
-            (*shape, self.encoder.context_dim), device=device
+            (*shape, self.encoder.context_dim), device=device, dtype=weights.dtype
         )
         observation_spec[self.index_key] = Unbounded(shape, device=device, dtype=torch.int64)
         return observation_spec

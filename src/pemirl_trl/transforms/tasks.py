@@ -19,6 +19,9 @@ class SampleTasks(Transform):
         tasks: count -> task parameters with batch size ``[count]``; called at each reset.
         rollouts_per_task: K.
         task_key: where the environment reads them at reset.
+
+    Raises:
+        ValueError: at reset, environments that do not divide into K rollouts per task.
     """
 
     def __init__(
