@@ -149,9 +149,7 @@ class Episodes:
             }
             self.step_count = self.step_count.masked_fill(mask, 0)
 
-    def step(
-        self, action: Tensor, mask: Tensor | None = None
-    ) -> tuple[Tensor, dict[int, str]]:
+    def step(self, action: Tensor, mask: Tensor | None = None) -> tuple[Tensor, dict[int, str]]:
         """Acts once in every episode.
 
         Args:

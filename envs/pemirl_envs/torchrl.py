@@ -90,7 +90,9 @@ class TaskEnv(EnvBase):
         self.action_spec = Bounded(low, high, dtype=torch.float32)
         parameters = {
             name: Bounded(
-                low.expand(*batch, *low.shape), high.expand(*batch, *high.shape), dtype=low.dtype
+                low.float().expand(*batch, *low.shape),
+                high.float().expand(*batch, *high.shape),
+                dtype=torch.float32,
             )
             for name, (low, high) in task.parameter_bounds.items()
         }

@@ -61,7 +61,8 @@ class MujocoBatch:
             raise ValueError(
                 f"expected num_sims >= 1 and num_threads >= 1, got {num_sims} and {num_threads}"
             )
-        self._batch = mujoco.batch.Batch(model, num_sims, min(num_threads, num_sims))
+        with timers_off():
+            self._batch = mujoco.batch.Batch(model, num_sims, min(num_threads, num_sims))
         if self._batch.nthread > 1:
             _with_threads.add(self)
         self._lost_threads = False
@@ -177,9 +178,9 @@ class MujocoBatch:
         """
         if self._lost_threads:
             raise RuntimeError(
-                f"these {self.num_sims} simulations step on {self.num_threads} threads, which stayed "
-                "in the process that made them; this is a fork of it. Make the environment inside "
-                "the worker: give the worker a factory, such as "
+                f"these {self.num_sims} simulations step on {self.num_threads} threads, which "
+                "stayed in the process that made them; this is a fork of it. Make the environment "
+                "inside the worker: give the worker a factory, such as "
                 "functools.partial(pemirl_envs.make, name, num_envs), instead of the environment"
             )
         with timers_off():

@@ -7,7 +7,7 @@ import hashlib
 import operator
 import secrets
 from collections.abc import Sequence
-from typing import SupportsIndex
+from typing import Any, SupportsIndex
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,7 @@ def generator_seed(seed: Seed) -> int:
     return _hashed(repr(integers).encode())
 
 
-def _integers(seed: object) -> list[int]:
+def _integers(seed: Any) -> list[int]:
     values = np.asarray(seed, dtype=object)
     flat = [seed] if values.ndim == 0 else values.tolist()
     try:
