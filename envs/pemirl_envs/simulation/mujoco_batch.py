@@ -61,8 +61,7 @@ class MujocoBatch:
             raise ValueError(
                 f"expected num_sims >= 1 and num_threads >= 1, got {num_sims} and {num_threads}"
             )
-        with timers_off():
-            self._batch = mujoco.batch.Batch(model, num_sims, min(num_threads, num_sims))
+        self._batch = mujoco.batch.Batch(model, num_sims, min(num_threads, num_sims))
         if self._batch.nthread > 1:
             _with_threads.add(self)
         self._lost_threads = False

@@ -65,9 +65,10 @@ def test_the_clock_is_back_after_an_error():
 def test_a_clock_in_python_reaches_no_call_of_a_batch():
     """A batch refuses Python functions as callbacks; a profiler's clock is one."""
     task = get_task("sweeper/normal")  # it computes derived fields, too
+    model = task.model  # compiling reads the clock
 
     def use() -> None:
-        batch = MujocoBatch(task.model, 2, 2, task.stage)
+        batch = MujocoBatch(model, 2, 2, task.stage)
         batch.reset()
         batch.field("site_xpos")
         batch.write({"qpos": batch.field("qpos").clone()})
