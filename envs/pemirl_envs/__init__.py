@@ -22,7 +22,7 @@ from dm_control.rl.control import Environment
 
 from pemirl_envs.control import load as _load_task
 from pemirl_envs.gym import check_ids, register_tasks
-from pemirl_envs.simulation import Fields, SimulationError, State
+from pemirl_envs.simulation import Fields, Seed, SimulationError, State
 from pemirl_envs.tasks import (
     TASKS,
     Component,
@@ -43,12 +43,13 @@ def make(
     num_envs: int = 1,
     *,
     split: str | None = None,
-    seed: int | None = None,
+    seed: Seed = None,
     num_threads: int | None = None,
 ) -> TaskEnv:
     """Makes the TorchRL face of a task: see :class:`TaskEnv`.
 
     Raises:
+        TypeError: what is given as a seed is none.
         ValueError: unknown task or split, or a count that is not positive.
     """
     return TaskEnv(get_task(name), num_envs, split=split, seed=seed, num_threads=num_threads)
@@ -66,7 +67,7 @@ def load(
     Args:
         domain_name: the domain, such as ``"point_maze"``.
         task_name: the variant, such as ``"left"``.
-        task_kwargs: ``random`` (an int or a ``RandomState``), ``split``, ``time_limit`` in seconds,
+        task_kwargs: ``random`` (a seed, as for ``make``), ``split``, ``time_limit`` in seconds,
             and ``parameters``, which fixes the task of every episode: ``{"goal": (0.3, 0.5)}``.
         environment_kwargs: keywords of ``control.Environment``, such as ``flat_observation``.
         visualize_reward: accepted for compatibility, without effect: dm_control highlights rewards
@@ -134,6 +135,7 @@ __all__ = [
     "Layout",
     "Outcome",
     "Parameters",
+    "Seed",
     "SimulationError",
     "State",
     "Task",

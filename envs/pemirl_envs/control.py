@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from torch import Generator, Tensor
 
 from pemirl_envs.episodes import check_action, draw_episode, observe
-from pemirl_envs.simulation import SimulationError, State
+from pemirl_envs.simulation import Seed, SimulationError, State, generator_seed
 from pemirl_envs.tasks import Task
 
 
@@ -26,7 +26,7 @@ def load(
     *,
     split: str | None = None,
     parameters: Mapping[str, ArrayLike] | None = None,
-    random: int | np.random.RandomState | None = None,
+    random: Seed = None,
     time_limit: float | None = None,
     environment_kwargs: Mapping[str, Any] | None = None,
 ) -> control.Environment:
@@ -55,12 +55,14 @@ class ControlTask(control.Task):
         split: the set of tasks from which episodes draw; ``None``: ``task.default_split``.
         parameters: task parameters of every episode, each without a batch dimension; ``None`` draws
             them from the split.
-        random: a seed, or a ``RandomState`` whose seed is taken; ``None`` seeds at random.
+        random: a seed of any type that :func:`~pemirl_envs.simulation.generator_seed` knows;
+            ``None`` takes one from the operating system.
 
     Attributes:
         parameters: the task parameters of the current episode, each ``[1, ...]``.
 
     Raises:
+        TypeError: what is given as a seed is none.
         ValueError: unknown split, or illegal parameters.
     """
 
@@ -70,7 +72,7 @@ class ControlTask(control.Task):
         *,
         split: str | None = None,
         parameters: Mapping[str, ArrayLike] | None = None,
-        random: int | np.random.RandomState | None = None,
+        random: Seed = None,
     ) -> None:
         split = task.default_split if split is None else split
         if split not in task.splits:
@@ -82,7 +84,7 @@ class ControlTask(control.Task):
             self._given = {k: torch.tensor(np.asarray(v))[None] for k, v in parameters.items()}
             task.validate_parameters(self._given, 1)
         if not isinstance(random, np.random.RandomState):
-            random = np.random.RandomState(random)
+            random = np.random.RandomState(generator_seed(random))
         self._random = random
         self.parameters: dict[str, Tensor] = {}
         self._reward = 0.0
@@ -98,11 +100,9 @@ class ControlTask(control.Task):
 
     @_random.setter
     def _random(self, state: np.random.RandomState) -> None:
-        # TorchRL's DMControlWrapper seeds an environment by assigning to this name. The first word
-        # of a new Mersenne Twister's key is its seed: an int seeds this face as it does the others.
+        # TorchRL's DMControlWrapper seeds an environment by assigning to this name.
         self._random_state = state
-        seed = state.get_state(legacy=False)["state"]["key"][0]
-        self._generator = Generator().manual_seed(int(seed))
+        self._generator = Generator().manual_seed(generator_seed(state))
 
     def initialize_episode(self, physics: Physics) -> None:
         """Draws the task parameters and the initial state."""

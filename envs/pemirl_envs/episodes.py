@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Generator, Tensor
 
-from pemirl_envs.simulation import Fields, MujocoBatch, State
+from pemirl_envs.simulation import Fields, MujocoBatch, Seed, State, generator_seed
 from pemirl_envs.tasks import Parameters, Task
 
 
@@ -59,9 +59,11 @@ class Episodes:
         task: the task.
         num_envs: the number of episodes, N.
         split: the set of tasks from which resets draw; ``None``: ``task.default_split``.
-        seed: seeds everything that is random; ``None`` takes one from the operating system.
+        seed: seeds everything that is random; ``None`` takes one from the operating system. See
+            :func:`~pemirl_envs.simulation.generator_seed` for what may be one.
         num_threads: threads that step the simulations; see
             :class:`~pemirl_envs.simulation.MujocoBatch`.
+        max_steps: ends episodes earlier than the task's horizon does.
 
     Attributes:
         parameters: the task parameters of each episode. Replaced by resets, never edited.
@@ -78,34 +80,40 @@ class Episodes:
         num_envs: int,
         *,
         split: str | None = None,
-        seed: int | None = None,
+        seed: Seed = None,
         num_threads: int | None = None,
+        max_steps: int | None = None,
     ) -> None:
         split = task.default_split if split is None else split
         if split not in task.splits:
             raise ValueError(f"unknown split {split!r}; expected one of {task.splits}")
         self.task = task
         self.split = split
+        self.max_steps = max_steps
         self.simulation = MujocoBatch(task.model, num_envs, num_threads, task.stage)
         self.generator = Generator()
         self.seed(seed)
         self.parameters: dict[str, Tensor] = {}
         self.step_count = torch.zeros(num_envs, dtype=torch.int64)
 
-    def seed(self, seed: int | None) -> None:
-        """Restarts the random stream; ``None`` takes a seed from the operating system."""
-        if seed is None:
-            self.generator.seed()
-        else:
-            self.generator.manual_seed(seed)
+    def seed(self, seed: Seed) -> None:
+        """Restarts the random stream; ``None`` takes a seed from the operating system.
+
+        Raises:
+            TypeError, ValueError: it is no seed.
+        """
+        self.generator.manual_seed(generator_seed(seed))
 
     def observe(self) -> Tensor:
         """The observations, float32 ``[N, S]``; new memory."""
         return observe(self.task, self.simulation.field)
 
     def truncated(self) -> Tensor:
-        """Which episodes have reached the horizon, bool ``[N]``."""
-        return self.step_count >= self.task.horizon
+        """Which episodes have reached the horizon, or ``max_steps``, bool ``[N]``."""
+        horizon = self.task.horizon
+        return self.step_count >= (
+            horizon if self.max_steps is None else min(horizon, self.max_steps)
+        )
 
     def reset(self, mask: Tensor | None = None, parameters: Parameters | None = None) -> None:
         """Begins new episodes in the simulations of ``mask`` (bool ``[N]``; ``None``: all).
@@ -141,11 +149,13 @@ class Episodes:
             }
             self.step_count = self.step_count.masked_fill(mask, 0)
 
-    def step(self, action: Tensor) -> tuple[Tensor, dict[int, str]]:
+    def step(self, action: Tensor, mask: Tensor | None = None) -> tuple[Tensor, dict[int, str]]:
         """Acts once in every episode.
 
         Args:
             action: ``[N, A]``, clipped to the task's action bounds.
+            mask: the simulations to act in, bool ``[N]``; ``None``: all. The others do not move,
+                and their rewards are zero.
 
         Returns:
             The rewards, float32 ``[N]``, and the reasons of the simulations that failed, by index.
@@ -159,23 +169,24 @@ class Episodes:
             raise RuntimeError("reset the environment before its first step")
         low, high = self.task.action_bounds
         finite = check_action(action, (self.simulation.num_sims, len(low)))
-        healthy, failures = None, {}
-        if not finite.all():
-            healthy = finite
-            broken = (~finite).nonzero().flatten().tolist()
-            failures = dict.fromkeys(broken, "the action is not finite")
+        acting = torch.ones_like(finite) if mask is None else mask
+        failed = (acting & ~finite).nonzero().flatten().tolist()
+        failures = dict.fromkeys(failed, "the action is not finite")
+        moving = acting & finite
+        healthy = None if moving.all() else moving
         control = torch.clamp(action.detach(), low, high)
         reward = self.task.reward(self.simulation.field, control, self.parameters)
         # The step that follows computes what derives from them.
         controls = self.task.control(self.simulation.field, control)
         self.simulation.write(controls, healthy, refresh=False)
         failures |= self.simulation.step(self.task.n_sub_steps, healthy)
+        reward = reward.masked_fill(~acting, 0.0)
         if failures:
-            healthy = torch.ones_like(finite)
-            healthy[list(failures)] = False
-            reward = reward.masked_fill(~healthy, torch.nan)
+            moving[list(failures)] = False
+            reward = reward.masked_fill(acting & ~moving, torch.nan)
+        healthy = None if moving.all() else moving
         disturbed = self.task.disturb(self.simulation.field, self.generator)
         if disturbed:
             self.simulation.write(disturbed, healthy)
-        self.step_count = self.step_count + (1 if healthy is None else healthy.long())
+        self.step_count = self.step_count + moving.long()
         return reward, failures

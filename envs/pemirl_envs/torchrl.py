@@ -11,7 +11,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from pemirl_envs.episodes import Episodes
-from pemirl_envs.simulation import SimulationError
+from pemirl_envs.simulation import Seed, SimulationError, generator_seed
 from pemirl_envs.tasks import Task
 
 
@@ -53,11 +53,13 @@ class TaskEnv(EnvBase):
         task: the task.
         num_envs: the number of episodes, N.
         split: the set of tasks from which resets draw; default: ``task.default_split``.
-        seed: seeds everything that is random; ``None`` takes one from the operating system.
+        seed: seeds everything that is random; ``None`` takes one from the operating system. See
+            :func:`~pemirl_envs.simulation.generator_seed` for what may be one.
         num_threads: threads that step the simulations. Default: one for each CPU in the affinity
             mask of the process. The results do not depend on it.
 
     Raises:
+        TypeError: what is given as a seed is none.
         ValueError: unknown split, or a count that is not positive.
     """
 
@@ -69,7 +71,7 @@ class TaskEnv(EnvBase):
         num_envs: int,
         *,
         split: str | None = None,
-        seed: int | None = None,
+        seed: Seed = None,
         num_threads: int | None = None,
     ) -> None:
         episodes = Episodes(task, num_envs, split=split, seed=seed, num_threads=num_threads)
@@ -88,16 +90,18 @@ class TaskEnv(EnvBase):
         self.action_spec = Bounded(low, high, dtype=torch.float32)
         parameters = {
             name: Bounded(
-                low.expand(*batch, *low.shape), high.expand(*batch, *high.shape), dtype=low.dtype
+                low.float().expand(*batch, *low.shape),
+                high.float().expand(*batch, *high.shape),
+                dtype=torch.float32,
             )
             for name, (low, high) in task.parameter_bounds.items()
         }
         self.observation_spec = Composite(
-            observation=Unbounded((*batch, task.observation_size)),
+            observation=Unbounded((*batch, task.observation_size), dtype=torch.float32),
             task=Composite(parameters, shape=batch),
             shape=batch,
         )
-        self.reward_spec = Unbounded((*batch, 1))
+        self.reward_spec = Unbounded((*batch, 1), dtype=torch.float32)
         self.full_done_spec = Composite(
             {key: Binary(1, (*batch, 1), dtype=torch.bool) for key in self._done_values()},
             shape=batch,
@@ -114,6 +118,14 @@ class TaskEnv(EnvBase):
     def physics_state(self) -> Tensor:
         """A copy of the full state of every simulation, float64 ``[N, n_state]``, for rendering."""
         return self.episodes.simulation.state
+
+    def set_seed(self, seed: Seed = None, static_seed: bool = False) -> int | None:
+        """Restarts the random stream; returns the seed for a next environment, as TorchRL does.
+
+        Raises:
+            TypeError, ValueError: it is no seed.
+        """
+        return super().set_seed(None if seed is None else generator_seed(seed), static_seed)
 
     def _set_seed(self, seed: int | None) -> None:
         self.episodes.seed(seed)

@@ -72,7 +72,8 @@ def play_gym(name: str, actions: torch.Tensor):
 def stacked(first, observations, rewards):
     """The same shapes as the batched faces: [1, D], [T, 1, D], [T, 1]."""
     observations = torch.from_numpy(np.stack(observations))[:, None]
-    return torch.from_numpy(first)[None], observations, torch.tensor(rewards)[:, None]
+    rewards = torch.tensor(rewards, dtype=torch.float32)[:, None]
+    return torch.from_numpy(first)[None], observations, rewards
 
 
 def play_gym_vector(name: str, actions: torch.Tensor):
@@ -80,7 +81,7 @@ def play_gym_vector(name: str, actions: torch.Tensor):
     (first, _), observations, rewards = env.reset(seed=SEED), [], []
     for action in actions.numpy():
         observation, reward, _, truncated, info = env.step(action)
-        observations.append(info["final_obs"] if truncated.any() else observation)
+        observations.append(np.stack(info["final_obs"]) if truncated.any() else observation)
         rewards.append(reward)
     rewards = torch.from_numpy(np.stack(rewards))
     return torch.from_numpy(first), torch.from_numpy(np.stack(observations)), rewards
@@ -102,6 +103,35 @@ def test_faces_agree_to_the_last_bit(name, play):
 def test_batched_faces_agree_to_the_last_bit(name):
     actions = random_actions(name, num_envs=5)
     assert_same(play_torchrl(name, actions), play_gym_vector(name, actions))
+
+
+@every_task
+@pytest.mark.parametrize("play", [play_torchrl, play_dm_control, play_gym, play_gym_vector])
+def test_results_do_not_depend_on_the_default_dtype(name, play):
+    actions = random_actions(name)[: LONGEST_EPISODE + 5]
+    expected = play(name, actions)
+    torch.set_default_dtype(torch.float64)
+    assert_same(expected, play(name, actions))
+
+
+@every_task
+def test_what_a_task_gives_does_not_depend_on_the_default_dtype(name):
+    def facts():
+        task = pemirl_envs.get_task(name)
+        sets = [task.task_set(split) for split in task.splits if split in ("train_100", "test")]
+        drawn = task.sample_parameters(9, task.splits[-1], torch.Generator().manual_seed(0))
+        tensors = [value for values in (*sets, drawn) for value in values.values()]
+        bounds = [bound for pair in task.parameter_bounds.values() for bound in pair]
+        return [*tensors, *bounds, *task.action_bounds]
+
+    def specs():
+        env = pemirl_envs.make(name, 2, seed=SEED)
+        return env.specs
+
+    expected, expected_specs = facts(), specs()
+    torch.set_default_dtype(torch.float64)
+    assert_same(expected, facts())
+    assert specs() == expected_specs
 
 
 @every_task

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import os
+import weakref
+from collections.abc import Iterator
 
 import mujoco
 import mujoco.batch
@@ -39,7 +43,10 @@ class MujocoBatch:
             none, which leaves the state fields alone readable.
 
     Raises:
-        ValueError: ``num_sims`` or ``num_threads`` is not positive.
+        ValueError: ``num_sims`` or ``num_threads`` is not positive; or, from whatever computes, a
+            callback of MuJoCo (``mjcb_control``, ...) is a Python function, which MuJoCo names.
+        RuntimeError: from whatever computes: the process was forked since the batch was made, and
+            the batch had more than one thread.
     """
 
     def __init__(
@@ -55,6 +62,9 @@ class MujocoBatch:
                 f"expected num_sims >= 1 and num_threads >= 1, got {num_sims} and {num_threads}"
             )
         self._batch = mujoco.batch.Batch(model, num_sims, min(num_threads, num_sims))
+        if self._batch.nthread > 1:
+            _with_threads.add(self)
+        self._lost_threads = False
         self._before = np.empty_like(self._batch.state)  # reused: a new one costs its page faults
         self._stage = int(stage)
         self._computes_derived = stage != mujoco.mjtStage.mjSTAGE_NONE
@@ -97,8 +107,9 @@ class MujocoBatch:
                 f"{', '.join(STATE_FIELDS)}"
             )
         if name not in self._derived_fields:
-            self._derived_fields[name] = self._batch.bind(name)
-            self._batch.forward(stage=self._stage)  # it would be zero until the next call
+            with self._runs():
+                self._derived_fields[name] = self._batch.bind(name)
+                self._batch.forward(stage=self._stage)  # it would be zero until the next call
         return torch.from_numpy(self._derived_fields[name].copy())
 
     def write(self, state: State, mask: Tensor | None = None, *, refresh: bool = True) -> None:
@@ -120,7 +131,8 @@ class MujocoBatch:
             else:
                 field[mask] = values[mask].to(field.dtype)
         if refresh and self._computes_derived and state.keys() - {"ctrl"}:
-            self._batch.forward(_ids(mask), stage=self._stage)
+            with self._runs():
+                self._batch.forward(_ids(mask), stage=self._stage)
 
     def step(self, n_sub_steps: int, mask: Tensor | None = None) -> dict[int, str]:
         """Advances the simulations in ``mask``; see :class:`~pemirl_envs.simulation.Simulation`.
@@ -131,7 +143,7 @@ class MujocoBatch:
         np.copyto(self._before, self._batch.state)
         failures: dict[int, str] = {}
         try:
-            with timers_off():
+            with self._runs():
                 self._batch.step(_ids(mask), n_sub_steps, self._stage)
         except mujoco.batch.SimulationError as error:
             failures = {int(i): self._batch.error(int(i)) for i in error.ids}
@@ -148,11 +160,47 @@ class MujocoBatch:
         self._batch.state[ids] = self._before[ids]
         self._batch.warning[ids] = 0
         if self._computes_derived:
-            self._batch.forward(np.asarray(ids, np.int32), stage=self._stage)
+            with self._runs():
+                self._batch.forward(np.asarray(ids, np.int32), stage=self._stage)
 
     def reset(self, mask: Tensor | None = None) -> None:
         """Puts the simulations in ``mask`` (bool ``[N]``; ``None``: all) into the default state."""
-        self._batch.reset(_ids(mask), stage=self._stage)
+        with self._runs():
+            self._batch.reset(_ids(mask), stage=self._stage)
+
+    @contextlib.contextmanager
+    def _runs(self) -> Iterator[None]:
+        """Around whatever computes: without MuJoCo's timers, and not where it would wait forever.
+
+        Raises:
+            RuntimeError: the process was forked since the batch was made.
+        """
+        if self._lost_threads:
+            raise RuntimeError(
+                f"these {self.num_sims} simulations step on {self.num_threads} threads, which "
+                "stayed in the process that made them; this is a fork of it. Make the environment "
+                "inside the worker: give the worker a factory, such as "
+                "functools.partial(pemirl_envs.make, name, num_envs), instead of the environment"
+            )
+        with timers_off():
+            yield
+
+    def _after_fork(self) -> None:
+        self._lost_threads = True
+        # Freeing the batch would wait for its threads, which the child does not have.
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._batch))
+
+
+_with_threads: weakref.WeakSet[MujocoBatch] = weakref.WeakSet()
+
+
+def _after_fork_in_child() -> None:
+    for batch in _with_threads:
+        batch._after_fork()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which does not fork
+    os.register_at_fork(after_in_child=_after_fork_in_child)
 
 
 def _ids(mask: Tensor | None) -> np.ndarray | None:

@@ -3,6 +3,7 @@
 The Python package installs a clock as ``mjcb_time``. Every step of every simulation reads it dozens
 of times, to fill ``mjData.timer``; on a small model that is a good part of the time. The package
 can replace the clock but not remove it. The C library can: with a null pointer it reads none.
+A batch would refuse a clock that is a Python function, such as a profiler's; without one it runs.
 """
 
 from __future__ import annotations
@@ -11,9 +12,34 @@ import contextlib
 import ctypes
 import functools
 import pathlib
+import threading
 from collections.abc import Iterator
 
 import mujoco
+
+
+class _Clock:
+    """Takes the clock away while anyone needs it gone, and puts it back after the last."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()  # batches may step in several Python threads at a time
+        self._users = 0
+        self._kept: int | None = None
+
+    def remove(self, callback: ctypes.c_void_p) -> None:
+        with self._lock:
+            self._users += 1
+            if self._users == 1:
+                self._kept, callback.value = callback.value, None
+
+    def put_back(self, callback: ctypes.c_void_p) -> None:
+        with self._lock:
+            self._users -= 1
+            if self._users == 0:
+                callback.value = self._kept
+
+
+_clock = _Clock()
 
 
 @functools.cache
@@ -36,8 +62,8 @@ def timers_off() -> Iterator[None]:
     if callback is None:
         yield
         return
-    clock, callback.value = callback.value, None
+    _clock.remove(callback)
     try:
         yield
     finally:
-        callback.value = clock
+        _clock.put_back(callback)

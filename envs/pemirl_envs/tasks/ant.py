@@ -80,7 +80,8 @@ class Ant(Task):
     ) -> None:
         self._disabled = disabled
         self._integrator = integrator
-        self.parameter_bounds = {"direction": (torch.tensor([-1.0]), torch.tensor([1.0]))}
+        forward, backward = self.task_set("train")["direction"]
+        self.parameter_bounds = {"direction": (backward, forward)}
 
     def build_spec(self) -> mujoco.MjSpec:
         """The model file, with this variant's integrator and legs."""
@@ -96,7 +97,7 @@ class Ant(Task):
         """Both directions, forward first, float32 ``[2, 1]``: every split is this set."""
         if split not in self.splits:
             raise ValueError(f"{split!r} is not a finite split; expected one of {self.splits}")
-        return {"direction": torch.tensor([[_FORWARD], [_BACKWARD]])}
+        return {"direction": torch.tensor([[_FORWARD], [_BACKWARD]], dtype=torch.float32)}
 
     def sample_parameters(self, n: int, split: str, generator: Generator) -> dict[str, Tensor]:
         """Draws ``n`` directions, float32 ``[N, 1]``, each with probability 1/2."""

@@ -34,7 +34,8 @@ class GoalBox:
     @property
     def bounds(self) -> tuple[Tensor, Tensor]:
         """The rectangle as ``Task.parameter_bounds`` wants it, float32 ``(low [2], high [2])``."""
-        return torch.tensor(self.low), torch.tensor(self.high)
+        low, high = torch.tensor((self.low, self.high), dtype=torch.float32)
+        return low, high
 
     def task_set(self, split: str) -> Tensor:
         """All goals of a finite split, float32 ``[K, 2]``.

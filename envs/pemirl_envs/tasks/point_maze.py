@@ -87,7 +87,8 @@ class PointMaze(Task):
         self._noise = noise
         plan = self.layout()
         self._start = torch.tensor(plan.start, dtype=torch.float64)
-        self.parameter_bounds = {"goal": (torch.tensor(plan.low), torch.tensor(plan.high))}
+        low, high = torch.tensor((plan.low, plan.high), dtype=torch.float32)
+        self.parameter_bounds = {"goal": (low, high)}
 
     def build_spec(self) -> mujoco.MjSpec:
         """The model file, with its walls stretched and its barrier moved to this variant."""

@@ -75,7 +75,8 @@ class SawyerPusher(Task):
     @functools.cached_property
     def action_bounds(self) -> tuple[Tensor, Tensor]:
         """The box [-1, 1]^3: steps of the hand's target along x, y and z, in centimetres."""
-        return -torch.ones(3), torch.ones(3)
+        high = torch.ones(3, dtype=torch.float32)
+        return -high, high
 
     def build_spec(self) -> mujoco.MjSpec:
         """The model file, and the wall of this variant."""

@@ -1,5 +1,7 @@
 """MuJoCo's clock is off while a batch steps, and back afterwards."""
 
+import threading
+
 import mujoco
 import numpy as np
 import pytest
@@ -58,3 +60,53 @@ def test_the_clock_is_back_after_an_error():
         raise RuntimeError("stop")
     model = get_task("point_maze/left").model
     assert calls_of_the_clock(lambda: mujoco.mj_step(model, mujoco.MjData(model))) > 0
+
+
+def test_a_clock_in_python_reaches_no_call_of_a_batch():
+    """A batch refuses Python functions as callbacks; a profiler's clock is one."""
+    task = get_task("sweeper/normal")  # it computes derived fields, too
+    model = task.model  # compiling reads the clock
+
+    def use() -> None:
+        batch = MujocoBatch(model, 2, 2, task.stage)
+        batch.reset()
+        batch.field("site_xpos")
+        batch.write({"qpos": batch.field("qpos").clone()})
+        batch.step(1)
+
+    assert calls_of_the_clock(use) == 0
+
+
+def test_the_clock_is_back_after_the_last_of_several_threads():
+    """They overlap: the second begins before the first ends, and ends after it."""
+    inside, go_on = threading.Event(), threading.Event()
+
+    def second() -> None:
+        with timers_off():
+            inside.set()
+            go_on.wait(10)
+
+    def overlap() -> None:
+        thread = threading.Thread(target=second)
+        with timers_off():
+            thread.start()
+            inside.wait(10)
+        go_on.set()
+        thread.join()
+        mujoco.mj_step(model, mujoco.MjData(model))
+
+    model = get_task("point_maze/left").model
+    assert calls_of_the_clock(overlap) > 0
+
+
+def test_other_callbacks_in_python_are_named():
+    batch = MujocoBatch(get_task("point_maze/left").model, 2, 1)
+    before = batch.state
+    mujoco.set_mjcb_control(lambda model, data: None)
+    try:
+        with pytest.raises(ValueError, match="mjcb_control is a Python function"):
+            batch.step(1)
+    finally:
+        mujoco.set_mjcb_control(None)
+    np.testing.assert_array_equal(batch.state, before)
+    assert batch.step(1) == {}
