@@ -22,8 +22,8 @@ DETERMINISTIC = HEADLESS | {"CUDA_VISIBLE_DEVICES": ""}
 
 SMOKE = """
 import pathlib
-import pemirl_envs, pemirl_trl
-for package in (pemirl_envs, pemirl_trl):
+import pemirl_envs, pemirl_lab, pemirl_trl
+for package in (pemirl_envs, pemirl_lab, pemirl_trl):
     assert "site-packages" in pathlib.Path(package.__file__).parts, package.__file__
 batch = pemirl_envs.make("point_maze/left", num_envs=4).rollout(3)
 assert batch.shape == (4, 3), batch.shape
@@ -72,16 +72,15 @@ def lint(session: nox.Session) -> None:
 @nox.session
 def types(session: nox.Session) -> None:
     """Check types."""
-    install(session, "-e", ".[recipes,minari]", "mypy")
+    install(session, "-e", ".[minari,video]", "mypy", "types-PyYAML")
     session.run("mypy", *session.posargs)
 
 
 @nox.session
 def quickstart(session: nox.Session) -> None:
-    """Run the quickstart as a user does; arguments are Hydra overrides."""
-    install(session, "-e", ".[recipes]")
-    env = HEADLESS | KEEP_MEMORY
-    session.run("python", "recipes/quickstart.py", *session.posargs, env=env)
+    """Run the quickstart as a user does; arguments are overrides, as of `pemirl quickstart`."""
+    install(session, "-e", ".")
+    session.run("pemirl", "quickstart", *session.posargs, env=HEADLESS | KEEP_MEMORY)
 
 
 @nox.session
@@ -110,3 +109,4 @@ def build(session: nox.Session) -> None:
         install(session, *map(str, Path(outside).glob("*.whl")))
         session.chdir(outside)
         session.run("python", "-c", SMOKE, env=DETERMINISTIC)
+        session.run("pemirl", "quickstart", "preset=smoke", env=DETERMINISTIC)

@@ -1,19 +1,13 @@
 """``pemirl COMMAND key=value ...``: everything that the recipes do, from anywhere.
 
-A command is a module of :mod:`pemirl_lab.commands` with a YAML file of its name in ``conf/``: its
-``Own`` says what values it has besides :class:`~pemirl_lab.runs.settings.Settings`, its ``run``
-does it.
+What it takes to run one is imported when one is run: the list of them is there at once.
 """
 
 from __future__ import annotations
 
 import importlib
-import shlex
-import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from types import ModuleType
-from typing import Any, NoReturn
+from collections.abc import Mapping
 
 COMMANDS: Mapping[str, str] = {
     "quickstart": "meta-train, adapt and evaluate, in one run",
@@ -55,7 +49,7 @@ def main() -> None:
     elif arguments[0] == PAGES:
         importlib.import_module("pemirl_lab.pages.report").main(arguments[1:])
     elif arguments[0] in COMMANDS:
-        run(arguments[0], arguments[1:])
+        importlib.import_module("pemirl_lab.runner").run(arguments[0], arguments[1:])
     else:
         sys.exit(f"pemirl: no command {arguments[0]!r}\n\n{usage()}")
 
@@ -64,109 +58,6 @@ def usage() -> str:
     """The commands, in one screen."""
     lines = "\n".join(f"  {name:<16} {what}" for name, what in COMMANDS.items())
     return USAGE.format(commands=lines, report=PAGES)
-
-
-def run(command: str, arguments: Sequence[str] | None = None) -> None:
-    """Run a command with overrides; None takes those of this process's command line.
-
-    Raises:
-        SystemExit: a wrong value, or an interruption; its message says what to do.
-    """
-    import hydra  # slow to import: `pemirl --help` does without
-
-    from pemirl_lab.runs.composition import CONF, register_library
-
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    if command == "reproduce":
-        given = _expanded(given)
-    if {"-h", "--help"} & set(given):
-        given.append(f"hydra.help.header='pemirl {command}: {COMMANDS[command]}'")
-    register_library()
-    sys.argv = [f"pemirl_{command}", *given]
-    hydra.main(config_path=str(CONF), config_name=command, version_base="1.3")(_job(command))()
-
-
-def _job(command: str) -> Callable[[Any], Any]:
-    """What Hydra calls with the resolved configuration, also in processes that launchers start."""
-
-    def job(config: Any) -> None:
-        module = importlib.import_module(f"pemirl_lab.commands.{command}")
-        execute(module, command, config)
-
-    return job
-
-
-def execute(module: ModuleType, command: str, config: Any) -> None:
-    """Run a command's module on a composed configuration."""
-    import torch
-
-    from pemirl_lab.runs.composition import plain
-    from pemirl_lab.runs.settings import parse
-
-    # One thread: sums of floats depend on how many share them, so this makes a run's results those
-    # of its seed, whatever ``threads`` gives the simulator. On a busy machine more would only spin.
-    torch.set_num_threads(1)
-    try:
-        resolved = _row(config) if command == "reproduce" else plain(config)
-        settings, own = parse(resolved, module.Own)
-    except ValueError as error:
-        sys.exit(f"pemirl {command}: {error}")
-    signal.signal(signal.SIGTERM, _interrupt)
-    try:
-        module.run(settings, own)
-    except KeyboardInterrupt:
-        again = shlex.join(["pemirl", command, *sys.argv[1:]])
-        sys.exit(f"\nstopped; {settings.run_dir} keeps what it has. To go on from there: {again}")
-
-
-def _interrupt(signum: int, frame: Any) -> NoReturn:  # noqa: ARG001 (the signature of a handler)
-    raise KeyboardInterrupt
-
-
-# --- reproduce: rows and seeds of a table ------------------------------------------------------
-
-
-def _expanded(arguments: Sequence[str]) -> list[str]:
-    """Give ``reproduce`` every row and seed of its table, unless it is told which.
-
-    With ``--list``, show one command for each of them and leave.
-    """
-    from pemirl_lab.runs.tables import read_table
-
-    given = [text for text in arguments if text not in ("--list", "-m", "--multirun")]
-    if any(text.startswith("-") for text in given):  # --help, --cfg: Hydra's own business
-        return list(arguments)
-    values = dict(text.split("=", 1) for text in given if "=" in text)
-    try:
-        table = read_table(values.get("table", "point_maze"))
-        rows = values.get("row", ",".join(table.rows)).split(",")
-        most = max(table.seeds_of(row) for row in rows)
-    except ValueError as error:
-        sys.exit(f"pemirl reproduce: {error}")
-    seeds = values.get("seed", ",".join(map(str, range(most))))
-    rest = [text for text in given if text.split("=", 1)[0] not in ("row", "seed")]
-    if "--list" in arguments:
-        listed = (
-            shlex.join(["pemirl", "reproduce", *rest, f"row={row}", f"seed={seed}"])
-            for row in rows
-            for seed in seeds.split(",")
-            if not seed.isdigit() or int(seed) < table.seeds_of(row)
-        )
-        sys.stdout.write("\n".join(listed) + "\n")
-        sys.exit(0)
-    return ["--multirun", *rest, f"row={','.join(rows)}", f"seed={seeds}"]
-
-
-def _row(config: Any) -> dict[str, Any]:
-    """The row's own configuration: its overrides, and then those of the command line."""
-    from hydra.core.hydra_config import HydraConfig
-
-    from pemirl_lab.runs.composition import override_key
-    from pemirl_lab.runs.tables import read_table
-
-    overrides = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
-    given = [text for text in overrides if override_key(text) not in ("table", "row")]
-    return read_table(config.table).compose(config.row, given)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,1 @@
+"""One module a command: what it has of its own, and ``run``."""

@@ -129,7 +129,8 @@ def _result(
     scales: Mapping[str, tuple[float, float]],
 ) -> Result:
     """``scales``: mean returns of random actions and of the expert, by environment."""
-    scores, reached = [], {}
+    scores: list[Score] = []
+    reached: dict[str, float] = {}
     for m, (returns, outcomes) in zip(measurements, measured, strict=True):
         random, expert = scales[m.environment]
         score = Score(

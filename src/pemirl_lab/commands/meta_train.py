@@ -40,7 +40,7 @@ class Own:
     """This command has nothing of its own."""
 
 
-def run(settings: Settings, own: Own) -> PEMIRLModel:  # noqa: ARG001 (every command has both)
+def run(settings: Settings, own: Own) -> PEMIRLModel:
     """Meta-train in the folder that the settings name."""
     return meta_train(settings, RunFolder.of(settings))
 

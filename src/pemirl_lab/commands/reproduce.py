@@ -164,8 +164,8 @@ def shared_meta_il(settings: Settings, own: Own) -> tuple[PEMIRLModel | None, Pa
     learning = settings.learning
     if learning.model.context_dim == 0:
         return None, Path(settings.run_dir)
-    shared = {"reward": "shaped", "reward_features": None}  # it has no use for the reward
-    model = replace(learning.model, **shared)
+    # It has no use for the reward, whatever its kind.
+    model = replace(learning.model, reward="shaped", reward_features=None)
     record = {
         "seed": settings.seed,
         "environment": settings.environment,

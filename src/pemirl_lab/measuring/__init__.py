@@ -1,0 +1,1 @@
+"""What policies and rewards reach: environments, experts, scores."""

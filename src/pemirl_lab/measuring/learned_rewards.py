@@ -123,7 +123,7 @@ def true_reward(name: str) -> RewardFunction:
 
 
 def rewards_of(model: PEMIRLModel) -> dict[str, RewardFunction]:
-    """r and f of a model, by these names."""
+    """R and f of a model, by these names."""
     return {"r": state_reward_of(model.reward), "f": shaped_reward_of(model.reward)}
 
 

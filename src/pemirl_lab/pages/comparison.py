@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 from numpy.typing import NDArray
 
+from pemirl_lab.pages.tables import Column, Rows, by_seed, scores_of
 from pemirl_lab.results import Result
 from pemirl_trl.evaluation.statistics import iqm_interval
-from pemirl_lab.pages.tables import Column, Rows, by_seed, scores_of
 
 __all__ = ["curve_band", "interval_plot", "stage_curves"]
 

@@ -7,8 +7,8 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pemirl_lab.results import Result, Score, normalised_return
 from pemirl_lab.pages.tables import MISSING, by_seed, markdown_table, millions
+from pemirl_lab.results import Result, Score, normalised_return
 
 __all__ = ["Stage", "convergence_table", "steps_to_converge"]
 

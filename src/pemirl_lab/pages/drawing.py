@@ -49,7 +49,11 @@ def draw_learning_curve(
     curves: Mapping[str, Sequence[Sequence[float]]], scores: Sequence[Score], path: Path
 ) -> None:
     """True return over environment steps, by stage; empty curves are left out."""
-    series = {label: [tuple(zip(*curve, strict=True))] for label, curve in curves.items() if curve}
+    series = {
+        label: [([point[0] for point in curve], [point[1] for point in curve])]
+        for label, curve in curves.items()
+        if curve
+    }
     references = {f"expert on {s.variant}": s.expert for s in scores if s.goals == "all"}
     figure = learning_curve(
         series,

@@ -45,7 +45,12 @@ class RunFolder:
     """
 
     def __init__(
-        self, path: str | Path, record: Mapping[str, Any], *, logger: str | None, checkpoint_every: int
+        self,
+        path: str | Path,
+        record: Mapping[str, Any],
+        *,
+        logger: str | None,
+        checkpoint_every: int,
     ) -> None:
         self.path = Path(path).expanduser()
         self.checkpoint_every = checkpoint_every

@@ -1,4 +1,4 @@
-"""Tables of experiments: named rows, each a list of overrides in the language of the command line."""
+"""Tables of experiments: named rows, each a list of overrides as on the command line."""
 
 from __future__ import annotations
 

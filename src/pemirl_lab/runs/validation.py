@@ -34,7 +34,9 @@ def _explained(problem: Mapping[str, Any], at: str) -> str:
     if problem["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         return f"unknown key {name}"
     message = message.replace("Input should be", "expected")
-    return f"{name}={problem['input']}: {message}" if problem["loc"] else f"{at or 'run'}: {message}"
+    return (
+        f"{name}={problem['input']}: {message}" if problem["loc"] else f"{at or 'run'}: {message}"
+    )
 
 
 def changed_settings(

@@ -1,0 +1,114 @@
+"""From the words of a command line to a run.
+
+A command is a module of :mod:`pemirl_lab.commands` with a YAML file of its name in ``conf/``: its
+``Own`` says what values it has besides :class:`~pemirl_lab.runs.settings.Settings`, its ``run``
+does it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import shlex
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from types import ModuleType
+from typing import Any, NoReturn
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from pemirl_lab.cli import COMMANDS
+from pemirl_lab.runs.composition import CONF, override_key, plain, register_library
+from pemirl_lab.runs.settings import parse
+from pemirl_lab.runs.tables import read_table
+
+
+def run(command: str, arguments: Sequence[str] | None = None) -> None:
+    """Run a command with overrides; None takes those of this process's command line.
+
+    Raises:
+        SystemExit: a wrong value, or an interruption; its message says what to do.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if command == "reproduce":
+        given = _expanded(given)
+    if {"-h", "--help"} & set(given):
+        given.append(f"hydra.help.header='pemirl {command}: {COMMANDS[command]}'")
+    register_library()
+    importlib.import_module(f"pemirl_lab.commands.{command}")  # before Hydra shows what MuJoCo logs
+    sys.argv = [f"pemirl_{command}", *given]
+    hydra.main(config_path=str(CONF), config_name=command, version_base="1.3")(_job(command))()
+
+
+def _job(command: str) -> Callable[[DictConfig], None]:
+    """What Hydra calls with the resolved configuration, also in processes that launchers start."""
+
+    def job(config: DictConfig) -> None:
+        module = importlib.import_module(f"pemirl_lab.commands.{command}")
+        execute(module, command, config)
+
+    return job
+
+
+def execute(module: ModuleType, command: str, config: DictConfig) -> None:
+    """Run a command's module on a composed configuration."""
+    # One thread: sums of floats depend on how many share them, so this makes a run's results those
+    # of its seed, whatever ``threads`` gives the simulator. On a busy machine more would only spin.
+    torch.set_num_threads(1)
+    try:
+        resolved = _row(config) if command == "reproduce" else plain(config)
+        settings, own = parse(resolved, module.Own)
+    except ValueError as error:
+        sys.exit(f"pemirl {command}: {error}")
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        module.run(settings, own)
+    except KeyboardInterrupt:
+        again = shlex.join(["pemirl", command, *sys.argv[1:]])
+        sys.exit(f"\nstopped; {settings.run_dir} keeps what it has. To go on from there: {again}")
+
+
+def _interrupt(signum: int, frame: Any) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+# --- reproduce: rows and seeds of a table ------------------------------------------------------
+
+
+def _expanded(arguments: Sequence[str]) -> list[str]:
+    """Give ``reproduce`` every row and seed of its table, unless it is told which.
+
+    With ``--list``, show one command for each of them and leave.
+    """
+    given = [text for text in arguments if text not in ("--list", "-m", "--multirun")]
+    if any(text.startswith("-") for text in given):  # --help, --cfg: Hydra's own business
+        return list(arguments)
+    values = dict(text.split("=", 1) for text in given if "=" in text)
+    try:
+        table = read_table(values.get("table", "point_maze"))
+        rows = values.get("row", ",".join(table.rows)).split(",")
+        most = max(table.seeds_of(row) for row in rows)
+    except ValueError as error:
+        sys.exit(f"pemirl reproduce: {error}")
+    seeds = values.get("seed", ",".join(map(str, range(most))))
+    rest = [text for text in given if text.split("=", 1)[0] not in ("row", "seed")]
+    if "--list" in arguments:
+        listed = (
+            shlex.join(["pemirl", "reproduce", *rest, f"row={row}", f"seed={seed}"])
+            for row in rows
+            for seed in seeds.split(",")
+            if not seed.isdigit() or int(seed) < table.seeds_of(row)
+        )
+        sys.stdout.write("\n".join(listed) + "\n")
+        sys.exit(0)
+    return ["--multirun", *rest, f"row={','.join(rows)}", f"seed={seeds}"]
+
+
+def _row(config: DictConfig) -> dict[str, Any]:
+    """The row's own configuration: its overrides, and then those of the command line."""
+    overrides = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
+    given = [text for text in overrides if override_key(text) not in ("table", "row")]
+    return read_table(config.table).compose(config.row, given)
