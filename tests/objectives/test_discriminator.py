@@ -82,7 +82,7 @@ def test_gail_by_hand(float64):
     assert discriminator.net[0].weight.grad.tolist() == [pytest.approx([-2.5, 1.25])]
 
 
-def test_each_discriminator_reads_what_its_roles_say():
+def test_each_discriminator_reads_what_its_role_keys_say():
     nets = networks()
     airl, gail = DiscriminatorLoss(nets.discriminator), DiscriminatorLoss(nets.gail)
     following = ("next", "observation")

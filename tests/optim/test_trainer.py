@@ -1,5 +1,8 @@
 """Trust-region steps in TorchRL's own trainer, on points of a line."""
 
+import subprocess
+import sys
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -9,7 +12,8 @@ from torchrl.trainers import Trainer
 
 from pemirl_trl.modules import ContextPolicy, NoContext
 from pemirl_trl.objectives import FiniteHorizonAdvantage, TRPOLoss
-from pemirl_trl.optim import TrustRegionOptimizer, TrustRegionStepper
+from pemirl_trl.optim import TrustRegionOptimizer
+from pemirl_trl.optim.trainer import TrustRegionStepper
 from pemirl_trl.transforms import InferContext
 
 from ..transforms.toy import Line
@@ -83,3 +87,8 @@ def test_the_settings_travel_with_the_trainers_state(policy, trainer):
     target = trainer(TrustRegionOptimizer(policy.parameters()))
     target.load_state_dict(source.state_dict())
     assert target.optimizer.param_groups[0]["max_kl"] == MAX_KL
+
+
+def test_the_library_is_imported_without_the_trainer_and_its_warnings():
+    command = "import sys, pemirl_trl; sys.exit('torchrl.trainers' in sys.modules)"
+    subprocess.run([sys.executable, "-W", "error", "-c", command], check=True)

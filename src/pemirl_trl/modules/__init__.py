@@ -4,6 +4,7 @@ from pemirl_trl.modules.actors import ContextPolicy, ContextValue
 from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder, NoContext
 from pemirl_trl.modules.discriminator import AIRLDiscriminator, GAILDiscriminator
 from pemirl_trl.modules.model import ModelConfig, PEMIRLModel
+from pemirl_trl.modules.reading import MissingKeyError
 from pemirl_trl.modules.reward import ShapedReward
 from pemirl_trl.modules.standardize import Standardize
 
@@ -14,6 +15,7 @@ __all__ = [
     "ContextValue",
     "GAILDiscriminator",
     "MaskedContextEncoder",
+    "MissingKeyError",
     "ModelConfig",
     "NoContext",
     "PEMIRLModel",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
 
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -61,14 +60,6 @@ class AIRLDiscriminator(TensorDictModuleBase):
         torch.Size([4, 1])
     """
 
-    roles: ClassVar[tuple[str, ...]] = (
-        "observation",
-        "next_observation",
-        "context",
-        "action_log_prob",
-    )
-    """What it reads, by the names of :class:`pemirl_trl.DiscriminatorLoss`."""
-
     in_keys: list[NestedKey]
     out_keys: list[NestedKey]
 
@@ -80,12 +71,12 @@ class AIRLDiscriminator(TensorDictModuleBase):
         self.reward_key = reward.reward_key
         self.shaped_reward_key = reward.shaped_reward_key
         self.logit_key: NestedKey = "logit_expert"
-        self.in_keys = [*reward.in_keys, log_prob_key]
+        self.in_keys = [*self.role_keys.values()]
         self.out_keys = [*reward.out_keys, self.logit_key]
 
     @property
     def role_keys(self) -> dict[str, NestedKey]:
-        """Where each of ``roles`` stands in a batch."""
+        """What it reads and where, by the names of :class:`pemirl_trl.DiscriminatorLoss`."""
         return {
             "observation": self.reward.observation_key,
             "next_observation": self.reward.next_observation_key,
@@ -131,8 +122,6 @@ class GAILDiscriminator(TensorDictModuleBase):
         standardize: map of observations; by default none.
     """
 
-    roles: ClassVar[tuple[str, ...]] = ("observation", "action")
-
     def __init__(
         self,
         observation_dim: int,
@@ -147,7 +136,7 @@ class GAILDiscriminator(TensorDictModuleBase):
         self.action_key: NestedKey = "action"
         self.reward_key: NestedKey = "learned_reward"
         self.logit_key: NestedKey = "logit_expert"
-        self.in_keys: list[NestedKey] = [self.observation_key, self.action_key]
+        self.in_keys: list[NestedKey] = [*self.role_keys.values()]
         self.out_keys: list[NestedKey] = [self.reward_key, self.logit_key]
         self.standardize = standardize or Standardize.identity(observation_dim)
         self.net = MLP(
@@ -159,7 +148,7 @@ class GAILDiscriminator(TensorDictModuleBase):
 
     @property
     def role_keys(self) -> dict[str, NestedKey]:
-        """Where each of ``roles`` stands in a batch."""
+        """What it reads and where, by the names of :class:`pemirl_trl.DiscriminatorLoss`."""
         return {"observation": self.observation_key, "action": self.action_key}
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -185,7 +185,7 @@ DISCRIMINATOR = Part(
     "a discriminator",
     "discriminator",
     "AIRLDiscriminator or GAILDiscriminator",
-    _has("role_keys", "logit_key"),
+    _has("role_keys", "logit_key", "reward_key", "standardize"),
 )
 POLICY = Part(
     "a policy",

@@ -34,7 +34,8 @@ class DiscriminatorLoss(KeyedLoss):
     The keys are those of the discriminator unless ``set_keys`` says otherwise.
 
     Args:
-        discriminator: gives ``logit_expert``; its ``roles`` say what it reads.
+        discriminator: gives a logit at its ``logit_key`` and r at its ``reward_key``; its
+            ``role_keys`` say what it reads, its ``standardize`` is its map of observations.
         detach_context: whether m is data. With False, a context drawn by ``rsample`` carries
             this loss's gradient to the encoder psi, as in the authors' code.
         gradient_penalty_coeff: c.
@@ -102,7 +103,7 @@ class DiscriminatorLoss(KeyedLoss):
         self.set_keys(**discriminator.role_keys)
 
     def _input_keys(self) -> list[NestedKey]:
-        roles = (*self.discriminator_network.roles, "is_expert")
+        roles = (*self.discriminator_network.role_keys, "is_expert")
         return [getattr(self.tensor_keys, role) for role in roles]
 
     @dispatch
@@ -118,7 +119,7 @@ class DiscriminatorLoss(KeyedLoss):
             MissingKeyError: the batch lacks one of ``in_keys``.
         """
         network = self.discriminator_network
-        values = {role: self._read(tensordict, role) for role in network.roles}
+        values = {role: self._read(tensordict, role) for role in network.role_keys}
         is_expert = self._read(tensordict, "is_expert")
         for role in ("action_log_prob", *(("context",) if self.detach_context else ())):
             if role in values:

@@ -33,6 +33,8 @@ class TrustRegionStepper(OptimizationStepper):
     Example:
         A trainer is made of parts that this example leaves to you::
 
+            from pemirl_trl.optim.trainer import TrustRegionStepper
+
             policy_loss = TRPOLoss(policy)
             trainer = Trainer(
                 collector=collector,  # of env and policy, whole episodes per batch

@@ -56,7 +56,7 @@ class TrustRegionOptimizer(Optimizer):
 
     It is a ``torch.optim.Optimizer`` with one parameter group, which holds the settings below and
     where a schedule may change them. It keeps no state between steps. In TorchRL's ``Trainer`` it
-    stands with a :class:`pemirl_trl.optim.TrustRegionStepper`.
+    stands with a :class:`pemirl_trl.optim.trainer.TrustRegionStepper`.
 
     Args:
         params: the parameters to move, in place; those that require no gradient stay.
