@@ -9,7 +9,7 @@ Writes ``policy.safetensors`` and the learning curve to ``run_dir``. Rewards are
 true returns, where the demonstrations come with their tasks, are metrics.
 """
 
-from pemirl_lab.runner import run
+from pemirl_lab.cli import run
 
 if __name__ == "__main__":
     run("adapt_reward")

@@ -7,7 +7,7 @@ Writes one safetensors file to ``output``. Actions are drawn from the expert's d
 maximum-entropy IRL assumes. Task parameters are stored for metrics; no learner reads them.
 """
 
-from pemirl_lab.runner import run
+from pemirl_lab.cli import run
 
 if __name__ == "__main__":
     run("collect_demos")

@@ -8,7 +8,7 @@ One-shot returns on the training dynamics; policy generalisation and reward adap
 changed ones. Each of the last policy, of the mean action, with m the mean of q(m | demonstration).
 """
 
-from pemirl_lab.runner import run
+from pemirl_lab.cli import run
 
 if __name__ == "__main__":
     run("evaluate")

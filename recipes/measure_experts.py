@@ -8,7 +8,7 @@ returns of the mean action over the test tasks, and what a person would look at 
 by hand.
 """
 
-from pemirl_lab.runner import run
+from pemirl_lab.cli import run
 
 if __name__ == "__main__":
     run("measure_experts")

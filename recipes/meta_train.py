@@ -9,7 +9,7 @@ Writes ``model.safetensors`` and, where the method has contexts, ``meta_il.safet
 a baseline, and what initialises the encoder) to ``run_dir``.
 """
 
-from pemirl_lab.runner import run
+from pemirl_lab.cli import run
 
 if __name__ == "__main__":
     run("meta_train")

@@ -10,7 +10,7 @@ demonstration each, trains a policy on the inferred rewards with the barrier on 
 prints a table. Give the same command again after an interruption: it resumes.
 """
 
-from pemirl_lab.runner import run
+from pemirl_lab.cli import run
 
 if __name__ == "__main__":
     run("quickstart")

@@ -7,7 +7,7 @@
 Writes ``output`` (mp4). Headless rendering needs Debian's ``libosmesa6``.
 """
 
-from pemirl_lab.runner import run
+from pemirl_lab.cli import run
 
 if __name__ == "__main__":
     run("record_video")

@@ -12,7 +12,7 @@ Each seed has its own demonstrations and its own Meta-IL, which all its rows sha
 ``pemirl report --write`` turns the files into pages.
 """
 
-from pemirl_lab.runner import run
+from pemirl_lab.cli import run
 
 if __name__ == "__main__":
     run("reproduce")

@@ -7,7 +7,7 @@ Writes ``report.md``, ``report.json`` and figures to ``run_dir``. The latent m o
 of q(m | its one demonstration).
 """
 
-from pemirl_lab.runner import run
+from pemirl_lab.cli import run
 
 if __name__ == "__main__":
     run("reward_report")

@@ -7,7 +7,7 @@
 Writes the policy's weights to ``output``; everything else goes to ``run_dir``.
 """
 
-from pemirl_lab.runner import run
+from pemirl_lab.cli import run
 
 if __name__ == "__main__":
     run("train_expert")

@@ -6,8 +6,10 @@ What it takes to run one is imported when one is run: the list of them is there 
 from __future__ import annotations
 
 import importlib
+import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from ctypes.util import find_library
 
 COMMANDS: Mapping[str, str] = {
     "quickstart": "meta-train, adapt and evaluate, in one run",
@@ -49,9 +51,19 @@ def main() -> None:
     elif arguments[0] == PAGES:
         importlib.import_module("pemirl_lab.pages.report").main(arguments[1:])
     elif arguments[0] in COMMANDS:
-        importlib.import_module("pemirl_lab.runner").run(arguments[0], arguments[1:])
+        run(arguments[0], arguments[1:])
     else:
         sys.exit(f"pemirl: no command {arguments[0]!r}\n\n{usage()}")
+
+
+def run(command: str, arguments: Sequence[str] | None = None) -> None:
+    """Run a command with overrides; None takes those of this process's command line."""
+    # Where there is no screen, MuJoCo's own choice would look for one, and complain.
+    if "DISPLAY" not in os.environ:
+        headless = "osmesa" if find_library("OSMesa") else "disable"
+        os.environ.setdefault("MUJOCO_GL", headless)
+    given = sys.argv[1:] if arguments is None else arguments
+    importlib.import_module("pemirl_lab.runner").run(command, given)
 
 
 def usage() -> str:

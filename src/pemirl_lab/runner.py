@@ -26,17 +26,18 @@ from pemirl_lab.runs.settings import parse
 from pemirl_lab.runs.tables import read_table
 
 
-def run(command: str, arguments: Sequence[str] | None = None) -> None:
-    """Run a command with overrides; None takes those of this process's command line.
+def run(command: str, arguments: Sequence[str]) -> None:
+    """Run a command with overrides.
 
     Raises:
         SystemExit: a wrong value, or an interruption; its message says what to do.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    given = list(arguments)
     if command == "reproduce":
         given = _expanded(given)
     if {"-h", "--help"} & set(given):
-        given.append(f"hydra.help.header='pemirl {command}: {COMMANDS[command]}'")
+        header = f"hydra.help.header='pemirl {command}: {COMMANDS[command]}'"
+        given = [header, *(text for text in given if text not in ("-h", "--help")), "--help"]
     register_library()
     importlib.import_module(f"pemirl_lab.commands.{command}")  # before Hydra shows what MuJoCo logs
     sys.argv = [f"pemirl_{command}", *given]

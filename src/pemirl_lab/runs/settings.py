@@ -138,27 +138,16 @@ class Settings:
                 f"info_estimator=public_code is for method=pemirl and its extensions; got "
                 f"method={self.method}"
             )
-        chosen = self.experiment
-        if chosen is not None and (chosen.task, chosen.method) != (self.task, self.method):
-            raise ValueError(
-                f"experiment={chosen.name} is task={chosen.task} with method={chosen.method}; got "
-                f"task={self.task} with method={self.method}: choose another experiment, or "
-                "compose task and method freely with ~experiment"
-            )
-
-    def task_of(self, environment: str) -> pemirl_envs.Task:
-        """The task of an environment's name; ValueError lists the legal names."""
-        return pemirl_envs.get_task(environment)
 
     @property
     def planar(self) -> bool:
         """Whether rewards are functions of a position, and can be drawn and measured over a map."""
-        return self.task_of(self.test_environment).planar
+        return pemirl_envs.get_task(self.test_environment).planar
 
     @property
     def task_key(self) -> str:
         """The task parameter that an expert reads."""
-        return self.task_of(self.environment).task_key
+        return pemirl_envs.get_task(self.environment).task_key
 
     def expert_file(self, environment: str) -> str:
         """Where the expert of some dynamics lies.
@@ -200,9 +189,21 @@ def parse(resolved: Mapping[str, Any], own: type[Own]) -> tuple[Settings, Own]:
     unknown = sorted(set(resolved) - {*_METHOD, *_SHARED, *own_names})
     if unknown:
         raise ValueError(f"unknown keys {', '.join(unknown)}")
+    _check_experiment(resolved)
     shared = {name: resolved[name] for name in _SHARED if name in resolved}
     settings = typed(Settings, {**shared, "learning": _learning(resolved), "resolved": resolved})
     return settings, typed(own, {name: resolved[name] for name in own_names if name in resolved})
+
+
+def _check_experiment(resolved: Mapping[str, Any]) -> None:
+    chosen = resolved.get("experiment") or resolved
+    got = (resolved["task"], resolved["method"])
+    if (chosen["task"], chosen["method"]) != got:
+        raise ValueError(
+            f"experiment={chosen['name']} is task={chosen['task']} with method={chosen['method']}; "
+            f"got task={got[0]} with method={got[1]}: choose another experiment, or compose task "
+            "and method freely without one (~experiment, where the command has one of its own)"
+        )
 
 
 def _learning(resolved: Mapping[str, Any]) -> MethodConfig:

@@ -157,13 +157,12 @@ def reward_report(
 
 def state_reward_of(module: ShapedReward) -> RewardFunction:
     """The learned reward r(s, m) alone, of transitions that carry a ``context``."""
-    observation_key, _, context_key = module.in_keys
-    return lambda batch: module.reward(batch[observation_key], batch[context_key])
+    return lambda batch: module.reward(batch[module.observation_key], batch[module.context_key])
 
 
 def shaped_reward_of(module: ShapedReward) -> RewardFunction:
     """f(s, a, s', m) = r + gamma h' - h, of transitions that carry a ``context``."""
-    return lambda batch: module(batch.select(*module.in_keys))[module.out_keys[1]]
+    return lambda batch: module(batch.select(*module.in_keys))[module.shaped_reward_key]
 
 
 def _on_transitions(

@@ -183,10 +183,10 @@ def learned_policy_reward(
     reward: ShapedReward, rollouts: TensorDictBase, kind: PolicyReward
 ) -> Tensor:
     """What the policy maximises of the learned reward, ``[N, T, 1]``; see ``policy_reward``."""
-    keys = reward.in_keys
-    if kind == "state":  # r needs no next observation; the potentials' time is saved
-        keys = [key for key in keys if key != ("next", "observation")]
+    keys = [reward.observation_key, reward.context_key]
+    if kind != "state":  # r needs no next observation; the potentials' time is saved
+        keys.insert(1, reward.next_observation_key)
     scored = reward(rollouts.select(*keys))
-    state = scored["learned_reward"]
-    shaped = scored.get("shaped_reward", state)
+    state = scored[reward.reward_key]
+    shaped = scored.get(reward.shaped_reward_key, state)
     return policy_reward(state, shaped, rollouts["action_log_prob"].unsqueeze(-1), kind)

@@ -30,7 +30,7 @@ def cross_returns(
     """
     own = list(tasks.keys(include_nested=True, leaves_only=True))
     # r is a function of a step's start; f alone reads the next observation.
-    here = [k for k in reward.in_keys if not (isinstance(k, tuple) and k[0] == "next")]
+    here = [key for key in reward.in_keys if not (isinstance(key, tuple) and "next" in key)]
     data = rollouts.select(*(k for k in here if k not in own))
 
     def returns(task: TensorDictBase) -> Tensor:
