@@ -100,6 +100,15 @@ def test_an_older_config_with_fewer_fields_still_loads(tmp_path):
     assert load_model(tmp_path / "model").config.reward_features is None
 
 
+def test_a_config_without_widths_has_the_default_ones_which_must_fit(tmp_path):
+    def without_widths(sizes):
+        return {**sizes, "config": {"context_dim": 2}}
+
+    save_with(tmp_path / "model", without_widths)
+    with pytest.raises(ValueError, match="not those of a model of its sizes"):
+        load_model(tmp_path / "model")
+
+
 def test_weights_of_something_else_are_refused(tmp_path):
     save_weights(tmp_path / "w", {"net": torch.nn.Linear(1, 1)}, {"task": "toy"})
     with pytest.raises(ValueError, match=r"/w holds weights \['task'\], expected those of a model"):

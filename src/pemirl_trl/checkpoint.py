@@ -285,9 +285,9 @@ class TrainingCheckpoint:
 
         Raises:
             ValueError: there are checkpoints and none is whole, or the checkpoint was made by a
-                run of another identity or of other components. Nothing has changed then.
-            torchrl.checkpoint.CheckpointError: a component could not take its state; those before
-                it in the order of names have already been restored.
+                run of another identity or of other components: nothing has changed then. Or a
+                component could not take its state: those before it in the order of names have
+                already been restored.
         """
         faults: dict[int, str] = {}
         for iteration, path in reversed(self._folders().items()):
@@ -304,9 +304,7 @@ class TrainingCheckpoint:
             if faults:
                 message = f"continued from {path.name}; not usable: {'; '.join(faults.values())}"
                 warnings.warn(message, UnusableCheckpointWarning, stacklevel=2)
-            checkpoint = self._bind(components)
-            checkpoint.load(path, components=list(components))
-            checkpoint.load(path, components=[self._RNG])  # last: loading may itself draw numbers
+            self._restore(path, components)
             return iteration
         if faults:
             raise ValueError(
@@ -314,6 +312,14 @@ class TrainingCheckpoint:
                 "Put back a copy of one, or delete that folder to start anew"
             )
         return None
+
+    def _restore(self, path: Path, components: Mapping[str, Stateful]) -> None:
+        checkpoint = self._bind(components)
+        try:
+            checkpoint.load(path, components=list(components))
+            checkpoint.load(path, components=[self._RNG])  # last: loading may itself draw numbers
+        except CheckpointError as error:
+            raise ValueError(f"{path} does not fit its components: {error}") from error
 
     def _refuse_another(
         self, path: Path, identity: str | None, stored: set[str], asked: set[str]

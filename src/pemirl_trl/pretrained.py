@@ -91,7 +91,8 @@ def _compare(sizes: Mapping[str, Any], tensors: Mapping[str, Tensor], path: str 
     A network on the device ``meta`` has shapes and no memory. The map of observations is taken
     from the file: it looks at its values.
     """
-    hidden = [w for name in _CONFIG if name.endswith("_hidden") for w in sizes["config"][name]]
+    widths = (v for name, v in sizes["config"].items() if name.endswith("_hidden"))
+    hidden = [width for layers in widths for width in layers]
     counts = [sizes["observation_dim"], sizes["action_dim"], sizes["horizon"], *hidden]
     if any(type(count) is not int or count < 1 for count in counts) or len(hidden) > len(tensors):
         raise ValueError(

@@ -2,6 +2,8 @@
 
 import math
 import re
+import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from tensordict import TensorDict
 from pemirl_trl.data import DemonstrationDataset, Provenance
 from pemirl_trl.files import write_tensors
 
+ROOT = Path(__file__).parents[2]
 M, T, S, A = 6, 5, 3, 2
 PROVENANCE = Provenance("point_maze", 3, -5.5, "0.1", "collect task=point_maze", {"note": "x"})
 
@@ -160,6 +163,90 @@ def test_a_broken_episode_is_named(broken, message):
         DemonstrationDataset.from_episodes([*episodes(2), broken, *episodes(1)])
 
 
+@pytest.mark.parametrize(
+    ("episode", "message"),
+    [
+        ((np.zeros((T + 1, S)) * 1j, np.zeros((T, A))), "observation is an array of complex128"),
+        ((np.zeros((T + 1, S)), np.full((T, A), "1")), "action is an array of <U1"),
+        ((np.zeros((T + 1, S)), np.full((T, A), None)), "action is an array of object"),
+        ((np.zeros((T + 1, S)), [[0, 0], [0]]), "action is not an array"),
+        ((np.zeros((T + 1, S)), torch.zeros(T, A) * 1j), "action is a tensor of torch.complex64"),
+        ((np.ma.masked_less(np.zeros((T + 1, S)), 1), np.zeros((T, A))), "float64 with masked"),
+        ((np.zeros((T + 1, S)), np.full((T, A), 2**60)), r"action holds integers beyond 2\^53"),
+        ((1, 2, 3), r"episode 2 is a tuple; expected a pair"),
+        (None, r"episode 2 is a NoneType; expected a pair"),
+    ],
+)
+def test_what_are_no_real_numbers_is_refused_by_name(episode, message):
+    with pytest.raises(ValueError, match=f"episode 2.*{message}|{message}"):
+        DemonstrationDataset.from_episodes([*episodes(2), episode])
+
+
+def test_a_dataset_keeps_no_graph():
+    observation = torch.randn(M, T + 1, S, requires_grad=True)
+    action = torch.randn(M, T, A, requires_grad=True)
+    task = TensorDict({"goal": torch.randn(M, 2, requires_grad=True)}, [M])
+    direct = DemonstrationDataset(observation, action, task=task)
+    pairs = list(zip(observation, action, strict=True))
+    built = DemonstrationDataset.from_episodes(pairs, task={"goal": task["goal"]})
+    rollouts = rollouts_of(DemonstrationDataset(observation.detach(), action.detach(), task=task))
+    rollouts["action"].requires_grad_()
+    collected = DemonstrationDataset.from_rollouts(rollouts, PROVENANCE)
+    for demos in (direct, built, collected):
+        assert torch.equal(demos.action, action)
+        for tensor in (demos.observation, demos.action, demos.tasks()["goal"]):
+            assert not tensor.requires_grad
+
+
+def test_a_dataset_takes_arrays_that_cannot_be_written_to():
+    pairs = episodes()
+    for pair in pairs:
+        for array in pair:
+            array.setflags(write=False)
+    assert len(DemonstrationDataset.from_episodes(pairs)) == len(pairs)
+
+
+def test_every_path_refuses_what_float32_cannot_tell_apart(tmp_path, monkeypatch):
+    observation = torch.zeros(4, T + 1, S, dtype=torch.float64)
+    observation[..., 1] = 4.2e6 + 0.05 * torch.arange(T + 1, dtype=torch.float64)
+    action = torch.zeros(4, T, A)
+    message = "observation feature 1 loses its precision in float32: in episode 0, its 6 distinct"
+    with pytest.raises(ValueError, match=message):
+        DemonstrationDataset.from_episodes(zip(observation, action, strict=True))
+    rollouts = TensorDict(
+        {
+            "observation": observation[:, :-1],
+            "action": action,
+            "next": {"observation": observation[:, 1:]},
+        },
+        [4, T],
+    )
+    with pytest.raises(ValueError, match=message):
+        DemonstrationDataset.from_rollouts(rollouts, PROVENANCE)
+    minari = pytest.importorskip("minari")
+    spaces = pytest.importorskip("gymnasium").spaces
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # on descriptive fields
+        minari.create_dataset_from_buffers(
+            "toy/wide-v0",
+            [
+                minari.data_collector.EpisodeBuffer(
+                    id=0,
+                    observations=observation[0].numpy(),
+                    actions=action[0].numpy(),
+                    rewards=np.zeros(T),
+                    terminations=np.zeros(T, dtype=bool),
+                    truncations=np.arange(T) == T - 1,
+                )
+            ],
+            observation_space=spaces.Box(-np.inf, np.inf, (S,), np.float64),
+            action_space=spaces.Box(-np.inf, np.inf, (A,), np.float32),
+        )
+    with pytest.raises(ValueError, match=f"toy/wide-v0: {message}"):
+        DemonstrationDataset.from_minari("toy/wide-v0")
+
+
 def test_many_broken_episodes_are_counted():
     bad = (np.zeros((T, S)), np.zeros((T, A)))
     with pytest.raises(ValueError, match=re.escape("episodes 1, 2, 3, 4, 5 ... (7 in all)")):
@@ -177,6 +264,7 @@ def test_tensors_that_break_the_schema(demos):
     dotted = TensorDict({"a.b": torch.zeros(M)}, [M])
     for arguments, message in [
         ((o.double(), a, p), r"float64; expected .* torch\.float32"),
+        ((o.tolist(), a, p), "observation is a list; expected a tensor"),
         ((o[0], a, p), r"observation is \(6, 3\)"),
         ((o[:, :T], a, p), "6 episodes of 5 observations, 6 of 5 actions"),
         ((o[:3], a, p), "3 episodes of 6 observations, 6 of 5 actions"),
@@ -194,14 +282,57 @@ def test_tensors_that_break_the_schema(demos):
     [
         ({"schema_version": 99}, "schema 99; this version reads schema 1"),
         ({"horizon": 9}, "of 9 steps"),
+        ({"horizon": "5"}, "'horizon' is '5'; expected int"),
+        ({"horizon": True}, "'horizon' is True; expected int"),
+        ({"provenance": []}, r"'provenance' is \[\]; expected dict"),
+        ({"provenance": {"author": "me"}}, r"unknown ones \['author'\]"),
+        ({"provenance": {"seed": "3"}}, "'seed' is '3'; expected int or NoneType"),
+        ({"provenance": {"extra": {"split": 1}}}, "extra: 'split' is 1; expected str"),
+        ({"comment": ""}, r"unknown ones \['comment'\]"),
     ],
 )
 def test_files_that_contradict_themselves(demos, tmp_path, changed, message):
     header = {"schema_version": 1, "episodes": M, "horizon": T, "provenance": {}} | changed
     tensors = {"observation": demos.observation, "action": demos.action}
     write_tensors(tmp_path / "x", tensors, kind="demonstrations", header=header)
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=message) as raised:
         DemonstrationDataset.load(tmp_path / "x")
+    assert str(tmp_path / "x") in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["observation", "action", "reward"], r"lacks the tensors \[\] .* \['reward'\]"),
+        (["observation", "action", "task"], r"unknown ones \['task'\]"),
+        (["observation", "action", "task."], r"unknown ones \['task.'\]"),
+        (["observation", "task.goal"], r"lacks the tensors \['action'\]"),
+        (["observation", "action", "task.a", "task.a.b"], r"\['task.a'\] are tensors and groups"),
+    ],
+)
+def test_tensors_that_are_no_part_of_the_schema_are_refused(demos, tmp_path, names, message):
+    header = {"schema_version": 1, "episodes": M, "horizon": T, "provenance": {}}
+    known = {"observation": demos.observation, "action": demos.action}
+    tensors = {name: known.get(name, torch.zeros(M, 2)) for name in names}
+    write_tensors(tmp_path / "x", tensors, kind="demonstrations", header=header)
+    with pytest.raises(ValueError, match=message) as raised:
+        DemonstrationDataset.load(tmp_path / "x")
+    assert str(tmp_path / "x") in str(raised.value)
+
+
+def test_a_task_of_another_number_of_episodes_is_refused(demos, tmp_path):
+    header = {"schema_version": 1, "episodes": M, "horizon": T, "provenance": {}}
+    tensors = {"observation": demos.observation, "action": demos.action, "task.a": torch.zeros(2)}
+    write_tensors(tmp_path / "x", tensors, kind="demonstrations", header=header)
+    with pytest.raises(ValueError, match=r"/x: task entries have shapes {'a': \(2,\)}; expected"):
+        DemonstrationDataset.load(tmp_path / "x")
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "data").glob("*_t*.safetensors")), ids=str)
+def test_published_files_of_file_version_1_still_load(path):
+    demos = DemonstrationDataset.load(path)
+    assert demos.tasks().batch_size == (len(demos),)
+    assert demos.provenance.code_version == "0.1.0"
 
 
 def test_loading_validates(demos, tmp_path):
@@ -210,5 +341,5 @@ def test_loading_validates(demos, tmp_path):
     observation[2, 0, 0] = math.nan
     tensors = {"observation": observation, "action": demos.action}
     write_tensors(tmp_path / "x", tensors, kind="demonstrations", header=header)
-    with pytest.raises(ValueError, match="episode 2"):
+    with pytest.raises(ValueError, match="/x: observation is NaN or infinite in episode 2;"):
         DemonstrationDataset.load(tmp_path / "x")

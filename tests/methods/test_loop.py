@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from pemirl_trl.checkpoint import TrainingCheckpoint
+from pemirl_trl.checkpoint import TrainingCheckpoint, UnusableCheckpointWarning
 from pemirl_trl.methods import (
     AveragedReward,
     MetaIL,
@@ -223,6 +223,69 @@ def test_divergence_is_named_and_never_saved(
     restored = build(reach, 2)
     assert checkpoint.load_latest(restored.components()) == 3
     assert differences(state(restored), states[3]) == []
+
+
+def adam_state(method):
+    first = next(iter(method.optimizer.state.values()))
+    first["exp_avg"].view(-1)[0] = math.inf
+
+
+def buffer(method):
+    method.model.standardize.loc[0] = math.nan
+
+
+@pytest.mark.parametrize(
+    ("build", "sabotage", "quantity", "value"),
+    [
+        (meta_il, adam_state, "optimizer.state.0.exp_avg", math.inf),
+        (pemirl, buffer, "model.standardize.loc", math.nan),
+    ],
+)
+def test_no_state_that_is_not_finite_is_saved(build, sabotage, quantity, value, reach, tmp_path):
+    method = build(copy.deepcopy(reach), 1)
+    healthy, count = method.iteration, 0
+
+    def iteration():
+        nonlocal count
+        count += 1
+        metrics = healthy()
+        if count == 4:
+            sabotage(method)
+        return metrics
+
+    method.iteration = iteration
+    checkpoint = TrainingCheckpoint(tmp_path)
+    with pytest.raises(TrainingDiverged, match=r"in iteration 4\. .* iteration 2\.") as raised:
+        train(method, checkpoint=checkpoint, checkpoint_every=2)
+    assert raised.value.quantity == quantity
+    assert str(raised.value.value) == str(value)
+    assert checkpoint.load_latest(build(reach, 2).components()) == 2
+
+
+def test_a_damaged_checkpoint_costs_the_iterations_since_the_one_before(
+    reach, state, differences, tmp_path
+):
+    straight = meta_il(reach, 1)
+    expected = run(straight, 10, tmp_path)
+    (tmp_path / "checkpoint-000000000006" / "manifest.json").write_text("")
+    resumed = meta_il(reach, 2)
+    with pytest.warns(UnusableCheckpointWarning, match="continued from checkpoint-000000000004"):
+        history = run(resumed, 20, tmp_path)
+    assert history == {i: expected[i] for i in (5, 6)}
+    assert differences(state(resumed), state(straight)) == []
+
+
+def test_a_checkpoint_of_a_longer_run_is_refused(reach, tmp_path):
+    run(meta_il(reach, 1), 10, tmp_path)
+    shorter = meta_il(reach, 1)
+    shorter.iterations = ITERATIONS - 1
+    with pytest.raises(ValueError, match="is of iteration 6, the method has 5 iterations"):
+        train(shorter, checkpoint=TrainingCheckpoint(tmp_path))
+
+
+def test_checkpoints_every_no_iterations_are_refused(reach):
+    with pytest.raises(ValueError, match="checkpoint_every is 0; expected at least 1"):
+        train(meta_il(reach, 1), checkpoint_every=0)
 
 
 def test_without_a_checkpoint_the_message_says_so(reach):

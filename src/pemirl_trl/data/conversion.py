@@ -48,7 +48,9 @@ def plain_tensor(value: ArrayLike | Tensor, what: str) -> Tensor:
         if value.is_complex():
             raise ValueError(f"{what} is a tensor of {value.dtype}; expected real numbers")
         return value.detach()
-    return torch.from_numpy(np.array(_real_array(value, what), order="C"))
+    array = _real_array(value, what)
+    kind = np.float64 if array.dtype.itemsize > 8 else array.dtype.newbyteorder("=")
+    return torch.from_numpy(np.array(array, dtype=kind, order="C"))
 
 
 def task_batch(values: dict[str, Tensor], episodes: int) -> TensorDict:

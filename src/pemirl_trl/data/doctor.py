@@ -7,6 +7,7 @@ thresholds are far from what the published demonstrations hold, so that a findin
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -35,8 +36,9 @@ OUTSIDE_RMS, OUTSIDE_ONCE, HARDLY_USED = 3.0, 30.0, 1e-3
 """The same, and single actions, in half-widths of the bounds."""
 JUMP, RESET_STEP = 20.0, 3.0
 """Steps, relative to the 95th percentile of those that are not zero."""
-RATE_GAP, RATE_EPISODES = 1.4, 10
-"""Two groups of episodes whose step sizes differ by this factor, with no episode in between."""
+RATE_GAP, RATE_SPREAD, RATE_EPISODES = 1.4, 3.0, 10
+"""Two groups of episodes whose step sizes differ by this factor, with no episode in between, and by
+so many deviations within a group: goals at various distances make various speeds too."""
 
 
 @dataclass(frozen=True)
@@ -214,17 +216,17 @@ def _mixed_rates(dataset: DemonstrationDataset) -> Iterator[Finding]:
     if len(dataset) < RATE_EPISODES:
         return
     steps = _varying(dataset).diff(dim=1).square().mean((1, 2)).sqrt()  # [M]
-    order = steps.argsort()
-    ordered = steps[order]
-    inner = ordered[1:-2].clamp(min=1e-12)  # two episodes at least on either side
-    ratios = ordered[2:-1] / inner
-    if ratios.numel() and float(ratios.max()) > RATE_GAP:
-        split = int(ratios.argmax()) + 2
+    ordered, order = steps.clamp(min=1e-12).log().sort()
+    gaps = ordered.diff()[1:-1]  # two episodes at least on either side
+    gap, split = float(gaps.max()), int(gaps.argmax()) + 2
+    groups = (ordered[:split], ordered[split:])
+    spread = torch.cat([group - group.mean() for group in groups]).std()
+    if gap > max(math.log(RATE_GAP), RATE_SPREAD * float(spread)):
         fewer = order[:split] if split <= len(order) // 2 else order[split:]
         yield Finding(
             "warning",
-            f"two groups of episodes, whose steps differ by a factor of {float(ratios.max()):.2g} "
-            "or more, as if sampled at different rates",
+            f"two groups of episodes, whose steps differ by a factor of {math.exp(gap):.2g} or "
+            "more, as if sampled at different rates",
             f"the smaller group: {episode_names(fewer.sort().values)}",
             "resample to one rate",
         )
