@@ -135,6 +135,39 @@ def test_transition_noise_skips_what_failed():
     assert moved.tolist() == [True, False, True]
 
 
+def test_a_masked_step_moves_and_rewards_the_others_alone(episodes):
+    twin = Episodes(episodes.task, 4, split="train_100", seed=0, num_threads=1)
+    for each in (episodes, twin):
+        each.reset()
+    action, mask = torch.full((4, 2), 0.5), rows(0, 2)
+    action[1] = torch.nan  # plays no part
+    before = episodes.observe()
+    reward, failures = episodes.step(action, mask)
+    expected, _ = twin.step(torch.full((4, 2), 0.5))
+    assert failures == {}
+    assert torch.equal(reward[mask], expected[mask])
+    assert (reward[~mask] == 0).all()
+    assert torch.equal(episodes.observe()[mask], twin.observe()[mask])
+    assert torch.equal(episodes.observe()[~mask], before[~mask])
+    assert episodes.step_count.tolist() == [1, 0, 1, 0]
+
+    action[0] = torch.inf
+    reward, failures = episodes.step(action, mask)
+    assert failures == {0: "the action is not finite"}
+    assert reward.isnan().tolist() == [True, False, False, False]
+    assert episodes.step_count.tolist() == [1, 0, 2, 0]
+
+
+def test_episodes_may_end_before_the_horizon():
+    episodes = Episodes(get_task("point_maze/left"), 1, seed=0, max_steps=2)
+    episodes.reset()
+    ends = []
+    for _ in range(3):
+        episodes.step(torch.zeros(1, 2))
+        ends.append(episodes.truncated().item())
+    assert ends == [False, True, True]
+
+
 def test_order_of_calls(episodes):
     with pytest.raises(RuntimeError, match="reset the environment before its first step"):
         episodes.step(torch.zeros(4, 2))

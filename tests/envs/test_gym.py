@@ -232,6 +232,8 @@ def test_the_action_of_an_ignored_step_is_ignored():
     for _ in range(2):
         *_, ended, _ = env.step(actions)
     assert ended.tolist() == [True, False, True]
+    with pytest.raises(ValueError, match=r"expected an action of shape \(3, 2\), got \(2, 2\)"):
+        env.step(actions[:2])
     actions[0] = np.nan
     observation, reward, *_ = env.step(actions)
     assert np.abs(observation[[0, 2]] - (0.3, 0.0)).max() <= 0.05

@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from pemirl_envs.episodes import Episodes
+from pemirl_envs.episodes import Episodes, check_action
 from pemirl_envs.gym.conversion import (
     Array,
     Options,
@@ -133,6 +133,8 @@ class GymVectorEnv(VectorEnv[Array, Array, Array]):
         """Acts where an episode goes on, and begins a new one where the last one is over."""
         if not over.any():
             return self.episodes.step(action)
+        low, _ = self.episodes.task.action_bounds
+        check_action(action, (self.num_envs, len(low)))  # before anything happens
         self.episodes.reset(over)
         if over.all():
             return torch.zeros(self.num_envs, dtype=torch.float32), {}
@@ -143,9 +145,9 @@ class GymVectorEnv(VectorEnv[Array, Array, Array]):
 
     def _final(self, ended: Array) -> dict[str, Any]:
         observations = np.full(self.num_envs, None, dtype=object)
-        for i, observation in enumerate(self.episodes.observe().numpy()):
-            if ended[i]:
-                observations[i] = observation
+        last = self.episodes.observe().numpy()
+        for i in np.flatnonzero(ended):  # as gymnasium has them: an array of arrays and None
+            observations[i] = last[i]
         info = _masked_task(self.episodes, ended)
         return {
             "final_obs": observations,

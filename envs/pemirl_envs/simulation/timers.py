@@ -29,7 +29,7 @@ class _Clock:
     def remove(self, callback: ctypes.c_void_p) -> None:
         with self._lock:
             self._users += 1
-            if self._users == 1:
+            if self._users == 1:  # for the others it is gone already
                 self._kept, callback.value = callback.value, None
 
     def put_back(self, callback: ctypes.c_void_p) -> None:
