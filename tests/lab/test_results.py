@@ -4,8 +4,6 @@ import json
 import subprocess
 
 import pytest
-
-from pemirl_trl.evaluation import results as module
 from pemirl_trl.evaluation.results import (
     Result,
     Score,
@@ -14,6 +12,8 @@ from pemirl_trl.evaluation.results import (
     read,
     read_all,
 )
+
+from pemirl_trl.evaluation import results as module
 
 
 def score_fields(**changed):

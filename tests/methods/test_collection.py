@@ -3,7 +3,9 @@
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.envs import TransformedEnv
 
+from pemirl_trl import InferContext
 from pemirl_trl.methods import EpisodeCollector
 
 
@@ -64,3 +66,16 @@ def test_the_state_replays_the_environments_own_randomness(maze):
         seen.append(collect()["observation"][:, 0])
     assert torch.equal(start[0], again[0])
     assert not torch.equal(start[0], other[0])
+
+
+def test_without_ground_truth_there_is_no_true_return(reach):
+    """The environment then draws some task of its own, and its return means nothing."""
+    model = reach.model()
+    for tasks in (reach.tasks, None):
+        transform = InferContext(
+            model.encoder, reach.demonstrations, rollouts_per_context=2, tasks=tasks
+        )
+        env = TransformedEnv(reach.make(4), transform)
+        collect = EpisodeCollector(env, model.policy, reach.horizon)
+        told = collect.true_return(collect())
+        assert set(told) == ({"return/true"} if tasks is not None else set())

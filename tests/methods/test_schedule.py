@@ -1,8 +1,9 @@
 """A geometric path, by hand."""
 
 import pytest
+import torch
 
-from pemirl_trl.methods.schedule import log_linear
+from pemirl_trl.methods.schedule import AnnealedScale, log_linear
 
 
 @pytest.mark.parametrize(
@@ -30,3 +31,18 @@ def test_what_has_no_path_is_refused(values, message):
     start, end, progress, begin, finish = values
     with pytest.raises(ValueError, match=f"{message}.*expected positive start and end"):
         log_linear(start, end, progress, begin=begin, finish=finish)
+
+
+def test_an_annealed_scale_is_forced_and_another_is_left_alone():
+    forced = torch.nn.Parameter(torch.zeros(3))  # a deviation of 1
+    scale = AnnealedScale(forced, 0.25, begin=0.5, finish=1.0)
+    assert not forced.requires_grad
+    seen = []
+    for progress in (0.0, 0.5, 0.75, 1.0):
+        scale.move(progress)
+        seen.append(float(forced.exp().mean()))
+    assert seen == pytest.approx([1.0, 1.0, 0.5, 0.25])
+    learned = torch.nn.Parameter(torch.zeros(3))
+    AnnealedScale(learned, None, begin=0.0, finish=1.0).move(0.5)
+    assert learned.requires_grad
+    assert torch.equal(learned, torch.zeros(3))

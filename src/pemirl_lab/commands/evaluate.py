@@ -63,6 +63,12 @@ def evaluate(settings: Settings, own: Own, folder: RunFolder) -> list[Result]:
     folder.reads("adapted policy", adaptation_run / "policy.safetensors")
     model, method = load_model(trained), read_metadata(trained)["method"]
     demonstrations = load_test_demonstrations(settings)
+    if demonstrations.task is None:
+        say(
+            f"{settings.test_demonstrations} holds no ground truth, so there is no true return to "
+            "measure: the learning curves on the learned reward are in the runs' folders"
+        )
+        return []
     rewards = {method: context_measures(settings, model)}
     behaviours = {} if settings.planar else behaviour_measures(settings, model)
     with folder.timed("evaluation"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import sys
 import time
@@ -57,6 +58,9 @@ class RunFolder:
         self.seconds: dict[str, float] = {}
         self.standing = "it had not begun to train"
         self._lock = _lock(self.path)
+        kept = {key: value for key, value in record.items() if key not in FREE}
+        text = json.dumps(kept, sort_keys=True, default=str)
+        self._identity = hashlib.sha256(text.encode()).hexdigest()
         self._claim(dict(record))
         self._kind = logger
         self._logger: Logger | None = get_logger(
@@ -148,13 +152,16 @@ class RunFolder:
         Args:
             stage: names the bar, the metrics and the checkpoints.
             method: what to train.
-            show: the metric that matters, on the bar and in the curve.
+            show: the metric that matters, on the bar and in the curve. Where there is no ground
+                truth, ``return/learned`` takes the place of ``return/true``.
 
         Returns:
             The learning curve: (environment steps, or iterations where there are none; ``show``).
         """
         curve: list[tuple[int, float]] = [(int(x), y) for x, y in read_curve(self.path, stage)]
-        checkpoint = TrainingCheckpoint(self.path / "checkpoints" / stage)
+        checkpoint = TrainingCheckpoint(
+            self.path / "checkpoints" / stage, identity=f"{stage} of {self._identity}"
+        )
         every = min(self.checkpoint_every, method.iterations)
         bar = tqdm(total=method.iterations, desc=f"{stage:<14}", unit="it", file=sys.stderr)
         start, steps_at_start = time.perf_counter(), None
@@ -167,10 +174,11 @@ class RunFolder:
                 del curve[iteration - 1 :]
                 if self._kind == "csv":  # what was logged after the checkpoint is logged anew
                     forget_from(iteration, self.path / "metrics" / "scalars" / stage)
-            curve.append((method.env_steps or iteration, metrics[show]))
+            shown = show if show in metrics else "return/learned"
+            curve.append((method.env_steps or iteration, metrics[shown]))
             rate = (method.env_steps - steps_at_start) / (time.perf_counter() - start)
             suffix = f", {rate:,.0f} env steps/s" if method.env_steps else ""
-            bar.set_postfix_str(f"{show} {metrics[show]:.3f}{suffix}")
+            bar.set_postfix_str(f"{shown} {metrics[shown]:.3f}{suffix}")
             bar.update()
             if self._logger is not None:
                 for name, value in metrics.items():

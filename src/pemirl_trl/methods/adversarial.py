@@ -125,13 +125,13 @@ class AdaptiveSampler:
         return log_linear(start, end, self.progress, begin=c.anneal_begin, finish=c.anneal_finish)
 
     def collect(self) -> tuple[TensorDictBase, dict[str, float]]:
-        """Rollouts ``[N, T]`` of this iteration's policy, kept as negatives; and their metrics."""
+        """Rollouts ``[N, T]`` of the policy of now, kept as negatives; and their true return."""
         c = self.config.policy
         self._scale.move(self.progress)
         self.imitation_coeff = self.annealed(c.imitation_coeff, c.final_imitation_coeff)
         rollouts = self._collect()
         self.negatives.add(rollouts)
-        return rollouts, {"return/true": float(rollouts["next", "reward"].sum(1).mean())}
+        return rollouts, self._collect.true_return(rollouts)
 
     def discriminator_batch(self) -> TensorDict:
         """Expert and policy transitions in equal number; see :class:`DiscriminatorBatches`."""

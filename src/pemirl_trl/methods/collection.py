@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 from tensordict import TensorDictBase
 from torchrl.collectors import Collector
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from pemirl_trl.modules import ContextPolicy
+from pemirl_trl.transforms import InferContext
+
+Transformed = TypeVar("Transformed", bound=Transform)
 
 
 class EpisodeCollector:
@@ -33,6 +36,7 @@ class EpisodeCollector:
         self.frames = env.batch_size[0] * horizon
         self.env = env
         self.env_steps = 0
+        self._knows_tasks = all(t.knows_tasks for t in _transforms(env, InferContext))
         self._collector = Collector(
             env,
             policy,
@@ -57,6 +61,16 @@ class EpisodeCollector:
         self.env_steps += self.frames
         return rollouts
 
+    def true_return(self, rollouts: TensorDictBase) -> dict[str, float]:
+        """``return/true``: the mean return of rollouts ``[N, T]`` on the environment's own reward.
+
+        Empty where the environment was not reset to the demonstrated tasks: without ground truth
+        its reward is that of some other task.
+        """
+        if not self._knows_tasks:
+            return {}
+        return {"return/true": float(rollouts["next", "reward"].sum(1).mean())}
+
     def progress(self, iterations: int) -> float:
         """Where the next of so many iterations stands, from 0 for the first to 1 for the last."""
         return self.env_steps // self.frames / max(1, iterations - 1)
@@ -72,6 +86,15 @@ class EpisodeCollector:
         self.env_steps = int(state["env_steps"])
         if "rng" in state:
             _unwrapped(self.env).set_rng_state(state["rng"])
+
+
+def _transforms(env: EnvBase, kind: type[Transformed]) -> Iterator[Transformed]:
+    """The transforms of a kind, of an environment that may be wrapped several times."""
+    while isinstance(env, TransformedEnv):
+        transform = env.transform
+        each = transform.transforms if isinstance(transform, Compose) else [transform]
+        yield from (t for t in each if isinstance(t, kind))
+        env = env.base_env
 
 
 def _unwrapped(env: EnvBase) -> Any:

@@ -122,7 +122,7 @@ class PolicyOptimization:
         """Collect, score, step."""
         self._scale.move(self._collect.progress(self.iterations))
         rollouts = self._collect()
-        metrics = {"return/true": float(rollouts["next", "reward"].sum(1).mean())}
+        metrics = self._collect.true_return(rollouts)
         if self._learned is not None:
             self._learned(rollouts)
             metrics["return/learned"] = float(rollouts["next", "reward"].sum(1).mean())

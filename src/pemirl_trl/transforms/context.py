@@ -100,6 +100,14 @@ class InferContext(Transform):
         self.__dict__["_index"] = None
         self.__dict__["_context"] = None
 
+    @property
+    def knows_tasks(self) -> bool:
+        """Whether the environment is reset to the demonstrated tasks.
+
+        Where it is not, the environment's own reward is that of some other task: no metric.
+        """
+        return self._tasks is not None
+
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase | None:
         """Draw before the environment resets, so that it can reset to the drawn tasks."""
         rollouts = self.parent.batch_size.numel()

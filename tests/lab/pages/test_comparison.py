@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from pemirl_trl.evaluation.comparison import curve_band, interval_plot, stage_curves
 from pemirl_trl.evaluation.results import Result, Score
 from pemirl_trl.evaluation.tables import Column

@@ -4,7 +4,6 @@ import sys
 
 import numpy as np
 import pytest
-
 from pemirl_trl.evaluation.figures import (
     learning_curve,
     reward_maps,
