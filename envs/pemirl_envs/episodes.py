@@ -169,24 +169,29 @@ class Episodes:
             raise RuntimeError("reset the environment before its first step")
         low, high = self.task.action_bounds
         finite = check_action(action, (self.simulation.num_sims, len(low)))
-        acting = torch.ones_like(finite) if mask is None else mask
-        failed = (acting & ~finite).nonzero().flatten().tolist()
-        failures = dict.fromkeys(failed, "the action is not finite")
-        moving = acting & finite
-        healthy = None if moving.all() else moving
+        acting = finite if mask is None else finite & mask
+        healthy, failures = None, {}
+        if not acting.all():
+            healthy = acting
+            broken = ~finite if mask is None else mask & ~finite
+            failures = dict.fromkeys(
+                broken.nonzero().flatten().tolist(), "the action is not finite"
+            )
         control = torch.clamp(action.detach(), low, high)
         reward = self.task.reward(self.simulation.field, control, self.parameters)
         # The step that follows computes what derives from them.
         controls = self.task.control(self.simulation.field, control)
         self.simulation.write(controls, healthy, refresh=False)
         failures |= self.simulation.step(self.task.n_sub_steps, healthy)
-        reward = reward.masked_fill(~acting, 0.0)
         if failures:
-            moving[list(failures)] = False
-            reward = reward.masked_fill(acting & ~moving, torch.nan)
-        healthy = None if moving.all() else moving
+            failed = torch.zeros_like(finite)
+            failed[list(failures)] = True
+            healthy = acting & ~failed
+            reward = reward.masked_fill(failed, torch.nan)
+        if mask is not None:
+            reward = reward.masked_fill(~mask, 0.0)
         disturbed = self.task.disturb(self.simulation.field, self.generator)
         if disturbed:
             self.simulation.write(disturbed, healthy)
-        self.step_count = self.step_count + moving.long()
+        self.step_count = self.step_count + (1 if healthy is None else healthy.long())
         return reward, failures

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import os
 import weakref
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 
 import mujoco
 import mujoco.batch
@@ -107,7 +106,7 @@ class MujocoBatch:
                 f"{', '.join(STATE_FIELDS)}"
             )
         if name not in self._derived_fields:
-            with self._runs():
+            with self._computing():
                 self._derived_fields[name] = self._batch.bind(name)
                 self._batch.forward(stage=self._stage)  # it would be zero until the next call
         return torch.from_numpy(self._derived_fields[name].copy())
@@ -131,7 +130,7 @@ class MujocoBatch:
             else:
                 field[mask] = values[mask].to(field.dtype)
         if refresh and self._computes_derived and state.keys() - {"ctrl"}:
-            with self._runs():
+            with self._computing():
                 self._batch.forward(_ids(mask), stage=self._stage)
 
     def step(self, n_sub_steps: int, mask: Tensor | None = None) -> dict[int, str]:
@@ -143,7 +142,7 @@ class MujocoBatch:
         np.copyto(self._before, self._batch.state)
         failures: dict[int, str] = {}
         try:
-            with self._runs():
+            with self._computing():
                 self._batch.step(_ids(mask), n_sub_steps, self._stage)
         except mujoco.batch.SimulationError as error:
             failures = {int(i): self._batch.error(int(i)) for i in error.ids}
@@ -160,16 +159,15 @@ class MujocoBatch:
         self._batch.state[ids] = self._before[ids]
         self._batch.warning[ids] = 0
         if self._computes_derived:
-            with self._runs():
+            with self._computing():
                 self._batch.forward(np.asarray(ids, np.int32), stage=self._stage)
 
     def reset(self, mask: Tensor | None = None) -> None:
         """Puts the simulations in ``mask`` (bool ``[N]``; ``None``: all) into the default state."""
-        with self._runs():
+        with self._computing():
             self._batch.reset(_ids(mask), stage=self._stage)
 
-    @contextlib.contextmanager
-    def _runs(self) -> Iterator[None]:
+    def _computing(self) -> AbstractContextManager[None]:
         """Around whatever computes: without MuJoCo's timers, and not where it would wait forever.
 
         Raises:
@@ -182,8 +180,7 @@ class MujocoBatch:
                 "inside the worker: give the worker a factory, such as "
                 "functools.partial(pemirl_envs.make, name, num_envs), instead of the environment"
             )
-        with timers_off():
-            yield
+        return timers_off()
 
     def _after_fork(self) -> None:
         self._lost_threads = True

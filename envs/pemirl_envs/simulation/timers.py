@@ -8,38 +8,13 @@ A batch would refuse a clock that is a Python function, such as a profiler's; wi
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import functools
 import pathlib
 import threading
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 
 import mujoco
-
-
-class _Clock:
-    """Takes the clock away while anyone needs it gone, and puts it back after the last."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()  # batches may step in several Python threads at a time
-        self._users = 0
-        self._kept: int | None = None
-
-    def remove(self, callback: ctypes.c_void_p) -> None:
-        with self._lock:
-            self._users += 1
-            if self._users == 1:  # for the others it is gone already
-                self._kept, callback.value = callback.value, None
-
-    def put_back(self, callback: ctypes.c_void_p) -> None:
-        with self._lock:
-            self._users -= 1
-            if self._users == 0:
-                callback.value = self._kept
-
-
-_clock = _Clock()
 
 
 @functools.cache
@@ -55,15 +30,32 @@ def _callback() -> ctypes.c_void_p | None:
     return None
 
 
-@contextlib.contextmanager
-def timers_off() -> Iterator[None]:
+class _TimersOff:
+    """Takes the clock away for the first who enters, and puts it back after the last who leaves."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()  # batches may step in several Python threads at a time
+        self._inside = 0
+        self._clock: int | None = None
+
+    def __enter__(self) -> None:
+        callback = _callback()
+        with self._lock:
+            self._inside += 1
+            if callback is not None and self._inside == 1:
+                self._clock, callback.value = callback.value, None
+
+    def __exit__(self, *error: object) -> None:
+        callback = _callback()
+        with self._lock:
+            self._inside -= 1
+            if callback is not None and self._inside == 0:
+                callback.value = self._clock
+
+
+_TIMERS_OFF = _TimersOff()
+
+
+def timers_off() -> AbstractContextManager[None]:
     """Within it simulations step untimed; states are the same to the last bit."""
-    callback = _callback()
-    if callback is None:
-        yield
-        return
-    _clock.remove(callback)
-    try:
-        yield
-    finally:
-        _clock.put_back(callback)
+    return _TIMERS_OFF
