@@ -295,7 +295,7 @@ def test_without_a_checkpoint_the_message_says_so(reach):
         train(method)
 
 
-@pytest.mark.parametrize(("steps", "each"), [(250, 100), (50, 100), (0, 100), (100, 0)])
+@pytest.mark.parametrize(("steps", "each"), [(250, 100), (50, 100)])
 def test_steps_that_are_not_whole_iterations_are_refused(steps, each, reach):
     model = reach.model()
     with pytest.raises(ValueError, match=f"steps is {steps}.*which is {each}"):
