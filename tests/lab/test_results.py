@@ -5,8 +5,8 @@ import subprocess
 
 import pytest
 
-from pemirl_trl.evaluation import results as module
-from pemirl_trl.evaluation.results import (
+from pemirl_lab import results as module
+from pemirl_lab.results import (
     Result,
     Score,
     environment_facts,
