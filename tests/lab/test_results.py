@@ -4,7 +4,9 @@ import json
 import subprocess
 
 import pytest
-from pemirl_trl.evaluation.results import (
+
+from pemirl_lab import results as module
+from pemirl_lab.results import (
     Result,
     Score,
     environment_facts,
@@ -12,8 +14,6 @@ from pemirl_trl.evaluation.results import (
     read,
     read_all,
 )
-
-from pemirl_trl.evaluation import results as module
 
 
 def score_fields(**changed):

@@ -4,7 +4,8 @@ import sys
 
 import numpy as np
 import pytest
-from pemirl_trl.evaluation.figures import (
+
+from pemirl_lab.pages.figures import (
     learning_curve,
     reward_maps,
     reward_scatter,

@@ -1,9 +1,10 @@
 """Tables show what the results say; every number is worked out by hand."""
 
 import pytest
-from pemirl_trl.evaluation.convergence import Stage, convergence_table, steps_to_converge
-from pemirl_trl.evaluation.results import Result, Score
-from pemirl_trl.evaluation.tables import (
+
+from pemirl_lab.pages.convergence import Stage, convergence_table, steps_to_converge
+from pemirl_lab.results import Result, Score
+from pemirl_lab.pages.tables import (
     Column,
     cost_table,
     improvement_table,
