@@ -47,7 +47,7 @@ def config(**changed):
         (config(policy_hidden=["4"]), "expected positive"),
         (config(context_dim=-1), "damaged"),
         (config(context_dim=10**30), "damaged"),
-        (config(encoder="rnn"), "unknown encoder 'rnn'"),
+        (config(encoder="rnn"), "encoder"),
         (config(reward_features=[7]), "reward_features is"),
         (config(reward_features=["a"]), "damaged"),
         (config(depth=2), r"unknown ones \['depth'\]"),

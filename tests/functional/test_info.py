@@ -1,12 +1,16 @@
 """The covariance of Lemma 2 on two contexts of three rollouts, by hand."""
 
+import math
+
 import pytest
 import torch
 
 from pemirl_trl.functional import (
     info_encoder_loss,
     info_reward_loss,
+    mixed_with_prior,
     normalized_within_context,
+    tilted_info_reward_loss,
 )
 
 pytestmark = pytest.mark.usefixtures("float64")
@@ -66,3 +70,50 @@ def test_errors_name_the_problem():
         info_reward_loss(LOG_Q, RETURNS.flatten())
     with pytest.raises(ValueError, match=r"got \(6,\) and \(6,\)"):
         info_reward_loss(LOG_Q.flatten(), RETURNS.flatten())
+
+
+def test_the_tilted_loss_has_lemma_2s_slope_where_returns_are_equal():
+    log_q = torch.randn(5, 4, dtype=torch.float64)
+    returns = torch.full((5, 4), 1.7, dtype=torch.float64, requires_grad=True)
+    (tilted,) = torch.autograd.grad(tilted_info_reward_loss(log_q, returns), returns)
+    (covariance,) = torch.autograd.grad(info_reward_loss(log_q, returns), returns)
+    assert torch.allclose(tilted, covariance, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("loss", "runs_away"), [(info_reward_loss, True), (tilted_info_reward_loss, False)]
+)
+def test_with_nothing_to_oppose_it_only_the_tilted_loss_leaves_r_finite(loss, runs_away):
+    """The sampler stands still and the discriminator is saturated: log q is what it is."""
+    torch.manual_seed(0)
+    log_q, returns = torch.randn(6, 8), torch.zeros(6, 8, requires_grad=True)
+    optimizer = torch.optim.SGD([returns], lr=10.0)
+    for _ in range(2000):
+        optimizer.zero_grad()
+        loss(log_q, returns).backward()
+        optimizer.step()
+    final = returns.detach()
+    spread = float((final.max(1).values - final.min(1).values).max())
+    assert (spread > 1000) == runs_away
+    if not runs_away:
+        assert spread < 30
+        assert tilted_info_reward_loss(log_q, final) >= -log_q.abs().max() * 8 / 7
+
+
+def test_a_mixture_with_the_prior_is_bounded_below_and_still_a_density():
+    grid = torch.linspace(-30, 30, 60_001, dtype=torch.float64)
+    prior, q = torch.distributions.Normal(0.0, 1.0), torch.distributions.Normal(3.0, 0.05)
+    mixed = mixed_with_prior(q.log_prob(grid), prior.log_prob(grid), 0.01)
+    assert torch.trapezoid(mixed.exp(), grid) == pytest.approx(1.0, abs=1e-6)
+    assert (mixed >= prior.log_prob(grid) + math.log(0.01) - 1e-12).all()
+    assert torch.equal(mixed_with_prior(grid, grid, 0.0), grid)
+    with pytest.raises(ValueError, match="prior_fraction is 1"):
+        mixed_with_prior(grid, grid, 1)
+
+
+def test_a_rollout_that_q_cannot_explain_has_no_say_in_psi():
+    log_q = torch.tensor([-1.0, -7000.0], requires_grad=True)
+    mixed = mixed_with_prior(log_q, torch.tensor([-3.0, -3.0]), 0.01)
+    (slope,) = torch.autograd.grad(mixed.sum(), log_q)
+    assert slope[0] > 0.9
+    assert slope[1] == 0

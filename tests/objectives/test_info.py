@@ -1,5 +1,7 @@
 """The information loss refuses batches whose rows are not K rollouts of each context."""
 
+import math
+
 import pytest
 import torch
 
@@ -76,3 +78,26 @@ def test_an_unknown_summand_is_refused(problem):
     nets, _ = problem
     with pytest.raises(ValueError, match=r"'reward'; choose one of .*'shaped', 'state'"):
         InfoLoss(nets.encoder, nets.reward, rollouts_per_context=K, summand="reward")
+
+
+def test_the_bounded_form_is_of_the_mixture_and_reaches_each_network_alone(problem):
+    nets, batch = problem
+    bounded = {"form": "tilted", "prior_fraction": 0.01, "time_mean": True}
+    losses = InfoLoss(nets.encoder, nets.reward, rollouts_per_context=K, **bounded)(batch)
+    plain = InfoLoss(nets.encoder, nets.reward, rollouts_per_context=K)(batch)
+    assert losses["log_q"] >= plain["log_q"] + math.log(0.99)  # no rollout counts without end
+    for key, network in (("loss_info_encoder", nets.encoder), ("loss_info_reward", nets.reward)):
+        reached = torch.autograd.grad(
+            losses[key], [*network.parameters()], retain_graph=True, allow_unused=True
+        )
+        assert any(g is not None and g.abs().sum() > 0 for g in reached)
+
+
+def test_forms_that_do_not_exist_or_fit_are_refused(problem):
+    nets, _ = problem
+    for options, message in (
+        ({"form": "rank"}, "unknown form 'rank'; choose one of"),
+        ({"form": "tilted", "normalize": True}, "the tilted form needs none"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            InfoLoss(nets.encoder, nets.reward, rollouts_per_context=K, **options)

@@ -11,7 +11,9 @@ from pemirl_trl.functional.gaussian import kl_to_standard_normal
 from pemirl_trl.functional.info import (
     info_encoder_loss,
     info_reward_loss,
+    mixed_with_prior,
     normalized_within_context,
+    tilted_info_reward_loss,
 )
 from pemirl_trl.functional.policy_gradient import discounted_return, standardize, surrogate
 from pemirl_trl.functional.regression import ridge_prediction, time_polynomial_features
@@ -24,11 +26,13 @@ __all__ = [
     "info_reward_loss",
     "kl_to_standard_normal",
     "logit_expert",
+    "mixed_with_prior",
     "normalized_within_context",
     "policy_reward",
     "ridge_prediction",
     "shaped_reward",
     "standardize",
     "surrogate",
+    "tilted_info_reward_loss",
     "time_polynomial_features",
 ]

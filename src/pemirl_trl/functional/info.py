@@ -5,6 +5,9 @@ Source: Yu, Yu, Finn and Ermon (2019), Equations 7 and 9 and Lemma 2.
 
 from __future__ import annotations
 
+import math
+
+import torch
 from torch import Tensor
 
 
@@ -69,20 +72,78 @@ def info_reward_loss(log_q: Tensor, returns: Tensor, *, normalize: bool = False)
     Raises:
         ValueError: the shapes differ, or fewer than two rollouts share a context.
     """
-    if log_q.shape != returns.shape or log_q.ndim != 2:
-        raise ValueError(
-            f"expected log_q and returns of one shape [contexts, rollouts], got "
-            f"{tuple(log_q.shape)} and {tuple(returns.shape)}"
-        )
-    rollouts = log_q.shape[1]
-    if rollouts < 2:
-        raise ValueError(
-            f"a covariance needs at least 2 rollouts per context, got {rollouts}: "
-            "raise rollouts_per_context"
-        )
+    rollouts = _rollouts_of(log_q, returns)
     if normalize:
         centred = normalized_within_context(log_q).detach()
     else:
         centred = (log_q - log_q.mean(1, keepdim=True)).detach()
     covariance = (centred * returns).sum(1) / (rollouts - 1)
     return -covariance.mean()
+
+
+def mixed_with_prior(log_q: Tensor, log_prior: Tensor, prior_fraction: float) -> Tensor:
+    r"""log((1 - eps) q(m|tau) + eps p(m)), an inference model that is never quite sure.
+
+    A defensive mixture (Hesterberg, 1995, "Weighted Average Importance Sampling and Defensive
+    Mixture Distributions", doi:10.1080/00401706.1995.10484303) is still a distribution over m, so
+    E log of it still bounds the mutual information from below. But it is bounded below by
+    log p(m) + log eps: a rollout that lies thousands of nats from every demonstration counts as one
+    that says nothing of m, and no more; and its gradient in psi fades with q's share of the sum.
+
+    Args:
+        log_q: log q_psi(m|tau), any shape, in nats.
+        log_prior: log p(m), of the same shape.
+        prior_fraction: eps, from 0 (q itself) to below 1.
+
+    Raises:
+        ValueError: another eps.
+    """
+    if not 0 <= prior_fraction < 1:
+        raise ValueError(f"prior_fraction is {prior_fraction}; expected 0 to below 1")
+    if prior_fraction == 0:
+        return log_q
+    return torch.logaddexp(
+        log_q + math.log1p(-prior_fraction), log_prior + math.log(prior_fraction)
+    )
+
+
+def tilted_info_reward_loss(log_q: Tensor, returns: Tensor) -> Tensor:
+    r"""A bounded loss with Lemma 2's gradient where the rollouts of a context return the same.
+
+    The rollouts of one context, drawn by the policy, are weighted as if the policy were tilted by
+    the reward, w = softmax_k R_theta(tau_k, m), and the weighted log q is to be large:
+    -K / (K - 1) E_m sum_k w_k log q_k. Its slope at equal returns is
+    -sum_k (log q_k - mean log q) dR_k / (K - 1), that of :func:`info_reward_loss`. Lemma 2's own
+    surrogate is linear in R_theta: with a discriminator that is saturated, nothing opposes it, and
+    it drives r without end. This one is satisfied once the rollouts that tell of m return a few
+    units more than the others: its value is at most max |log q|, and its gradient fades.
+
+    Args:
+        log_q: ``[M, K]``, in nats; detached here, so no gradient reaches psi.
+        returns: R_theta(tau, m), ``[M, K]``, differentiable in theta; commonly means over time, so
+            that "a few units" are units of r per step.
+
+    Returns:
+        A scalar.
+
+    Raises:
+        ValueError: the shapes differ, or fewer than two rollouts share a context.
+    """
+    rollouts = _rollouts_of(log_q, returns)
+    weighted = (returns.softmax(1) * log_q.detach()).sum(1)
+    return -weighted.mean() * rollouts / (rollouts - 1)
+
+
+def _rollouts_of(log_q: Tensor, returns: Tensor) -> int:
+    """K, of what both losses are given."""
+    if log_q.shape != returns.shape or log_q.ndim != 2:
+        raise ValueError(
+            f"expected log_q and returns of one shape [contexts, rollouts], got "
+            f"{tuple(log_q.shape)} and {tuple(returns.shape)}"
+        )
+    if log_q.shape[1] < 2:
+        raise ValueError(
+            f"a covariance needs at least 2 rollouts per context, got {log_q.shape[1]}: "
+            "raise rollouts_per_context"
+        )
+    return log_q.shape[1]

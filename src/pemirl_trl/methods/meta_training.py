@@ -2,8 +2,8 @@
 
 >>> from pemirl_trl.methods import METHODS
 >>> sorted(METHODS)
-['airl', 'meta_il', 'meta_infogail', 'pemirl', 'pemirl_contrastive', 'pemirl_no_info', \
-'pemirl_robust']
+['airl', 'meta_il', 'meta_infogail', 'pemirl', 'pemirl_bounded', 'pemirl_contrastive', \
+'pemirl_no_info', 'pemirl_robust']
 >>> METHODS["pemirl_robust"].training.gradient_penalty_coeff
 0.1
 
@@ -90,6 +90,7 @@ class MethodConfig:
 
 METHODS: Mapping[str, MethodConfig] = {
     "pemirl": MethodConfig(),
+    "pemirl_bounded": MethodConfig(training=PEMIRLConfig.bounded(), learn_policy_scale=True),
     "pemirl_robust": MethodConfig(training=PEMIRLConfig.robust(), reward_average_decay=0.9),
     "pemirl_contrastive": MethodConfig(
         training=PEMIRLConfig.contrastive(), reward_reads="task_space"
@@ -111,7 +112,7 @@ METHODS: Mapping[str, MethodConfig] = {
     ),
     "meta_il": MethodConfig(algorithm="meta_il", training=AdversarialConfig()),
 }
-"""The paper's method, the two extensions, and the baselines."""
+"""The paper's method, in two forms; two extensions; the baselines."""
 
 
 def new_model(

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 from tensordict import TensorDictBase
 from torch.optim import Adam
@@ -18,7 +19,7 @@ from pemirl_trl.methods.airl import AIRLConfig, set_learning_rate
 from pemirl_trl.methods.discriminator_batches import BatchConfig
 from pemirl_trl.modules import AIRLDiscriminator, PEMIRLModel
 from pemirl_trl.objectives import DiscriminatorLoss, InfoLoss
-from pemirl_trl.objectives.info import Summand
+from pemirl_trl.objectives.info import Form, Summand
 from pemirl_trl.optim import descend
 
 
@@ -34,7 +35,8 @@ class PEMIRLConfig(AIRLConfig):
         encoder_gradient: whether the discriminator's loss also trains psi (the authors' code).
         info_coeff: weight of L_info beside the classification loss, for theta.
         info_contexts: contexts per Adam step from which L_info is estimated, at most M.
-        info_summand, info_time_mean, info_normalize: see :class:`InfoLoss`.
+        info_summand, info_time_mean, info_normalize, info_form, info_prior_fraction: see
+            :class:`InfoLoss`.
     """
 
     encoder_lr: NonNegative = 1e-4
@@ -44,11 +46,32 @@ class PEMIRLConfig(AIRLConfig):
     info_summand: Summand = "shaped"
     info_time_mean: bool = True
     info_normalize: bool = True
+    info_form: Form = "covariance"
+    info_prior_fraction: Annotated[float, Field(ge=0, lt=1)] = 0.0
 
     @classmethod
     def paper(cls) -> PEMIRLConfig:
         """Algorithm 1: the defaults."""
         return cls()
+
+    @classmethod
+    def bounded(cls) -> PEMIRLConfig:
+        """The paper's equations with settings that hold on every domain.
+
+        The information term has the paper's weight of 0.1, in a form that is bounded (tilted, with
+        q mixed with the prior): rescaled, it drives r without end where the discriminator is
+        saturated. psi does not follow it: on the ant the contexts that q then gives move faster
+        than the policy follows. It goes with a deviation that the policy learns
+        (``learn_policy_scale``) and no bonus on entropy: a deviation held at 1 caps what any
+        policy can do, and with actions that the simulator clamps entropy costs nothing.
+        """
+        return cls(
+            encoder_lr=0.0,
+            info_coeff=0.1,
+            info_normalize=False,
+            info_form="tilted",
+            info_prior_fraction=0.01,
+        )
 
     @classmethod
     def robust(cls) -> PEMIRLConfig:
@@ -127,6 +150,8 @@ class PEMIRL:
             summand=config.info_summand,
             time_mean=config.info_time_mean,
             normalize=config.info_normalize,
+            form=config.info_form,
+            prior_fraction=config.info_prior_fraction,
         )
         self._discriminator_loss = DiscriminatorLoss(
             AIRLDiscriminator(model.reward),

@@ -9,13 +9,21 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictParams, dispatch
 from tensordict.utils import NestedKey
+from torch import Tensor
+from torch.distributions import Normal
 
-from pemirl_trl.functional import info_encoder_loss, info_reward_loss
+from pemirl_trl.functional import (
+    info_encoder_loss,
+    info_reward_loss,
+    mixed_with_prior,
+    tilted_info_reward_loss,
+)
 from pemirl_trl.modules import ShapedReward
 from pemirl_trl.modules.reading import ENCODER, REWARD
 from pemirl_trl.objectives.common import KeyedLoss, per_rollout, require_time
 
 Summand = Literal["shaped", "state"]
+Form = Literal["covariance", "tilted"]
 
 
 class InfoLoss(KeyedLoss):
@@ -28,7 +36,7 @@ class InfoLoss(KeyedLoss):
       of minus Lemma 2, Cov(log q, grad R_theta) within each context; see
       :func:`pemirl_trl.functional.info_reward_loss`.
 
-    Metric (detached): ``log_q``, the mean of log q_psi(m|tau) in nats.
+    Metric (detached): ``log_q``, the mean of log q_psi(m|tau) in nats, as it enters the losses.
 
     Args:
         encoder: q_psi; needs ``get_dist``.
@@ -39,6 +47,10 @@ class InfoLoss(KeyedLoss):
             potentials telescope to the end states, or ``"state"`` r alone.
         time_mean: average over time instead of summing, which divides the estimate by T.
         normalize: divide log q by its deviation over the batch, which rescales the estimate.
+        form: ``"covariance"``, Lemma 2's surrogate, or ``"tilted"``, which is bounded; see
+            :func:`pemirl_trl.functional.tilted_info_reward_loss`.
+        prior_fraction: share of the prior N(0, I) that q is mixed with, in both losses; see
+            :func:`pemirl_trl.functional.mixed_with_prior`. An extension of the paper; 0 is off.
 
     Raises:
         TypeError: encoder or reward is none.
@@ -90,7 +102,13 @@ class InfoLoss(KeyedLoss):
         summand: Summand = "shaped",
         time_mean: bool = False,
         normalize: bool = False,
+        form: Form = "covariance",
+        prior_fraction: float = 0.0,
     ) -> None:
+        if form not in get_args(Form):
+            raise ValueError(f"unknown form {form!r}; choose one of {get_args(Form)}")
+        if form == "tilted" and normalize:
+            raise ValueError("normalize rescales the covariance; the tilted form needs none")
         if summand not in get_args(Summand):
             raise ValueError(f"unknown summand {summand!r}; choose one of {get_args(Summand)}")
         if rollouts_per_context < 2:
@@ -106,6 +124,8 @@ class InfoLoss(KeyedLoss):
         self.summand = summand
         self.time_mean = time_mean
         self.normalize = normalize
+        self.form = form
+        self.prior_fraction = prior_fraction
         self.set_keys(context=reward.context_key)
 
     def _input_keys(self) -> list[NestedKey]:
@@ -147,6 +167,7 @@ class InfoLoss(KeyedLoss):
             self.encoder_network, preserve_module_state=False
         ):
             log_q = self.encoder_network.get_dist(inputs).log_prob(m.flatten(0, 1))  # [N]
+        log_q = mixed_with_prior(log_q, _log_prior(m.flatten(0, 1)), self.prior_fraction)
         inputs = TensorDict(
             {
                 self.reward_network.observation_key: observation,
@@ -162,9 +183,11 @@ class InfoLoss(KeyedLoss):
         per_step = outputs[key].squeeze(-1)  # [N, T]
         returns = per_step.mean(-1) if self.time_mean else per_step.sum(-1)
         shape = (groups, self.rollouts_per_context)
-        loss_reward = info_reward_loss(
-            log_q.view(shape), returns.view(shape), normalize=self.normalize
-        )
+        pairs = (log_q.view(shape), returns.view(shape))
+        if self.form == "tilted":
+            loss_reward = tilted_info_reward_loss(*pairs)
+        else:
+            loss_reward = info_reward_loss(*pairs, normalize=self.normalize)
         return TensorDict(
             {
                 "loss_info_encoder": info_encoder_loss(log_q),
@@ -172,3 +195,8 @@ class InfoLoss(KeyedLoss):
                 "log_q": log_q.detach().mean(),
             }
         )
+
+
+def _log_prior(m: Tensor) -> Tensor:
+    """Log N(m; 0, I) of contexts ``[N, D]``, in nats: ``[N]``."""
+    return Normal(0.0, 1.0).log_prob(m).sum(-1)
