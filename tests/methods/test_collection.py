@@ -32,7 +32,9 @@ def test_every_call_gives_whole_episodes_from_a_reset(reach):
 
 
 @pytest.mark.parametrize(("horizon", "ends"), [(7, r"\[\]"), (12, r"\[10\]")])
-def test_another_horizon_than_the_environments_is_refused(horizon, ends, reach):
+def test_another_horizon_than_the_environments_is_refused(horizon, ends, reach, monkeypatch):
+    """Also where the environment does not tell its own as a whole number."""
+    monkeypatch.setattr(type(reach.make(1)), "horizon", 10.0)
     _, collect = collector(reach, horizon)
     with pytest.raises(ValueError, match=rf"end at step {horizon}, got ends at steps {ends}"):
         collect()

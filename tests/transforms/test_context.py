@@ -243,3 +243,40 @@ def test_the_spec_has_the_encoders_precision(demonstrations, float64):
     )
     assert env.observation_spec["context"].dtype == torch.float64
     check_env_specs(env)
+
+
+class Deaf(Line):
+    """Keeps the task that it has, whatever it is told at reset."""
+
+    def _reset(self, tensordict=None, **kwargs):
+        told = None if tensordict is None else tensordict.exclude("task")
+        return super()._reset(told, **kwargs)
+
+
+class Mute(Line):
+    """Never says what its task is."""
+
+    def __init__(self, *sizes):
+        super().__init__(*sizes)
+        del self.observation_spec["task"]
+
+    def _state(self, truncated):
+        return super()._state(truncated).exclude("task")
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        (Deaf, "did not take the tasks that it was reset to: its .*'task', 'goal'.* is another"),
+        (Mute, "the environment's reset writes no 'task': it may not have read them"),
+    ],
+)
+def test_an_environment_that_ignores_its_tasks_is_refused(
+    encoder, demonstrations, tasks, kind, message
+):
+    """Its reward would be reported as the true one of tasks that it has never heard of."""
+    told = InferContext(encoder, demonstrations, rollouts_per_context=K, tasks=tasks)
+    with pytest.raises(ValueError, match=message):
+        TransformedEnv(kind(N, T), told).reset()
+    untold = InferContext(encoder, demonstrations, rollouts_per_context=K)
+    assert "context" in TransformedEnv(kind(N, T), untold).reset()

@@ -22,6 +22,7 @@ from pemirl_lab.runs.run_folder import RunFolder, say
 from pemirl_lab.runs.settings import Settings
 from pemirl_trl import DemonstrationDataset, InferContext, PEMIRLModel
 from pemirl_trl.configuration import CHECKED
+from pemirl_trl.data import examine
 from pemirl_trl.methods import (
     MetaIL,
     MetaILConfig,
@@ -46,8 +47,11 @@ def run(settings: Settings, own: Own) -> PEMIRLModel:
 
 
 def load_demonstrations(file: str, folder: RunFolder) -> DemonstrationDataset:
-    """The unlabelled pile."""
-    return DemonstrationDataset.load(folder.reads("demonstrations", data_file(file)))
+    """The unlabelled pile; what is suspicious about it is said, once a run."""
+    demonstrations = DemonstrationDataset.load(folder.reads("demonstrations", data_file(file)))
+    for finding in examine(demonstrations):
+        say(f"{file}: {finding}")
+    return demonstrations
 
 
 def meta_train(

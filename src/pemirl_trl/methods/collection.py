@@ -9,6 +9,7 @@ from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
+from pemirl_trl.methods.requirements import check_environment
 from pemirl_trl.modules import ContextPolicy
 from pemirl_trl.transforms import InferContext
 
@@ -25,13 +26,13 @@ class EpisodeCollector:
 
     Attributes:
         env_steps: environment steps collected so far, in all.
+
+    Raises:
+        ValueError: the environment is not one that the policy can act in.
     """
 
     def __init__(self, env: EnvBase, policy: ContextPolicy, horizon: int) -> None:
-        if len(env.batch_size) != 1:
-            raise ValueError(
-                f"expected an environment of batch size [N], got {list(env.batch_size)}"
-            )
+        check_environment(env, policy, horizon)
         self.horizon = horizon
         self.frames = env.batch_size[0] * horizon
         self.env = env

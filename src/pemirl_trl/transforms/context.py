@@ -149,9 +149,30 @@ class InferContext(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
+        if self._tasks is not None:
+            self._check_tasks(tensordict_reset)
         context = self._context.view(*self.parent.batch_size, -1)
         index = self._index.view(self.parent.batch_size)
         return tensordict_reset.set(self.context_key, context).set(self.index_key, index)
+
+    def _check_tasks(self, tensordict_reset: TensorDictBase) -> None:
+        """Raise unless the environment says that it has taken the tasks that it was reset to."""
+        taken = tensordict_reset.get(self.task_key, None)
+        given = self._tasks[self._index]
+        if taken is None:
+            raise ValueError(
+                f"tasks were given, but the environment's reset writes no {self.task_key!r}: it "
+                "may not have read them. An environment that takes its task at reset writes it "
+                "back; for one that does not, give no tasks (its reward is then no metric)"
+            )
+        for key, value in given.items(include_nested=True, leaves_only=True):
+            there = taken.get(key, None)
+            if there is None or not torch.equal(there.reshape(value.shape), value.to(there.dtype)):
+                raise ValueError(
+                    f"the environment did not take the tasks that it was reset to: its "
+                    f"({self.task_key!r}, {key!r}) is another. Tasks reach a batched environment "
+                    "at its own reset alone: SerialEnv and ParallelEnv do not hand them on"
+                )
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key in (self.context_key, self.index_key):

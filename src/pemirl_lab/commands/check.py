@@ -1,0 +1,47 @@
+"""Look at demonstrations before anything is learned from them.
+
+    pemirl check my_demonstrations.safetensors
+    pemirl check my_demonstrations.safetensors --environment point_maze/left
+
+One line for each thing that is suspicious, with its cure: constant features, duplicates, actions
+far outside their bounds, jumps, resets inside an episode, mixed sampling, too few demonstrations.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+import pemirl_envs
+from pemirl_lab.runs.places import data_file
+from pemirl_lab.runs.run_folder import say
+from pemirl_trl import DemonstrationDataset
+from pemirl_trl.data import examine
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Entry point; the exit code is 1 where a finding is an error."""
+    parser = argparse.ArgumentParser("pemirl check", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("file", help="of DemonstrationDataset.save, or of pemirl collect_demos")
+    parser.add_argument("--environment", help="whose bounds actions are compared with")
+    given = parser.parse_args(arguments)
+    try:
+        demonstrations = DemonstrationDataset.load(data_file(given.file))
+        bounds = None
+        if given.environment is not None:
+            bounds = pemirl_envs.get_task(given.environment).action_bounds
+        findings = examine(demonstrations, bounds)
+    except (FileNotFoundError, ValueError) as error:
+        parser.exit(2, f"pemirl check: {error}\n")
+    d = demonstrations
+    say(
+        f"{given.file}: {len(d)} demonstrations of {d.horizon} steps, {d.observation_dim} "
+        f"observed numbers, {d.action_dim} actions; made by: {d.provenance.command}"
+    )
+    for finding in findings:
+        say(str(finding))
+    if not findings:
+        say("nothing suspicious")
+    if any(finding.severity == "error" for finding in findings):
+        sys.exit(1)

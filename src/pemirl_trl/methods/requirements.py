@@ -1,0 +1,73 @@
+"""What a method asks of an environment, checked before the first step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import torch
+from torchrl.data import Composite, TensorSpec
+from torchrl.data.tensor_specs import ContinuousBox
+from torchrl.envs import EnvBase
+
+from pemirl_trl.modules import ContextPolicy
+
+
+def check_environment(env: EnvBase, policy: ContextPolicy, horizon: int) -> None:
+    """Compare an environment's specs with what a Gaussian policy on vectors needs.
+
+    Args:
+        env: the environment, with its transforms.
+        policy: what is to act in it.
+        horizon: T, the length of its episodes.
+
+    Raises:
+        ValueError: everything that does not fit, each with its cure.
+    """
+    problems = [*_batch(env), *_action(env, policy), *_inputs(env, policy), *_length(env, horizon)]
+    if problems:
+        raise ValueError("this environment cannot be trained on: " + "; ".join(problems))
+
+
+def _batch(env: EnvBase) -> Iterator[str]:
+    if len(env.batch_size) != 1:
+        yield (
+            f"expected an environment of batch size [N], got {list(env.batch_size)} (make a "
+            "batched one, or wrap several in torchrl's SerialEnv or ParallelEnv)"
+        )
+
+
+def _action(env: EnvBase, policy: ContextPolicy) -> Iterator[str]:
+    spec, size = env.action_spec, policy.log_scale.numel()
+    if not isinstance(spec.space, ContinuousBox):
+        yield (
+            f"its actions are {type(spec).__name__} of {spec.dtype}; a Gaussian policy gives real "
+            "numbers (wrap it so that it takes a continuous action, and decides itself)"
+        )
+    elif tuple(spec.shape) != (*env.batch_size, size):
+        yield (
+            f"its actions have the shape {list(spec.shape)}; the policy's are "
+            f"{[*env.batch_size, size]}"
+        )
+
+
+def _inputs(env: EnvBase, policy: ContextPolicy) -> Iterator[str]:
+    specs: Composite = env.observation_spec
+    for key in policy.in_keys:
+        spec: TensorSpec | None = specs.get(key, None)
+        if spec is None:
+            there = sorted(str(k) for k in specs.keys(include_nested=True, leaves_only=True))
+            yield f"the policy reads {key!r}, and it gives {there} (RenameTransform renames a key)"
+        elif spec.dtype != torch.get_default_dtype():
+            yield (
+                f"{key!r} is {spec.dtype}, and the networks take {torch.get_default_dtype()} "
+                "(DoubleToFloat casts)"
+            )
+
+
+def _length(env: EnvBase, horizon: int) -> Iterator[str]:
+    longest = getattr(env, "horizon", None)
+    if isinstance(longest, int) and longest != horizon:
+        yield (
+            f"its episodes last {longest} steps, and the model's {horizon}, as the "
+            "demonstrations' did"
+        )
