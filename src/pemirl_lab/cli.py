@@ -6,8 +6,9 @@ What it takes to run one is imported when one is run: the list of them is there 
 from __future__ import annotations
 
 import importlib
+import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 COMMANDS: Mapping[str, str] = {
     "quickstart": "meta-train, adapt and evaluate, in one run",
@@ -35,7 +36,7 @@ pemirl COMMAND --cfg job    what it would run, without running it
 Start with:                 pemirl quickstart preset=smoke     (seconds: does it run here?)
                             pemirl quickstart                  (minutes: Point-Maze, whole)
 Another domain:             pemirl quickstart experiment=ant   (or sweeper, sawyer_pusher)
-Completion of values:       eval "$(pemirl COMMAND -sc install=bash)"
+Completion, also of values: eval "$(pemirl -sc install=bash)"
 """
 
 
@@ -46,12 +47,32 @@ def main() -> None:
         sys.stdout.write(usage())
     elif arguments[0] == "--version":
         sys.stdout.write(f"pemirl-trl {importlib.import_module('pemirl_trl').__version__}\n")
+    elif arguments[0] in ("-sc", "--shell-completion"):
+        complete(arguments)
     elif arguments[0] == PAGES:
         importlib.import_module("pemirl_lab.pages.report").main(arguments[1:])
     elif arguments[0] in COMMANDS:
         importlib.import_module("pemirl_lab.runner").run(arguments[0], arguments[1:])
     else:
         sys.exit(f"pemirl: no command {arguments[0]!r}\n\n{usage()}")
+
+
+def complete(arguments: Sequence[str]) -> None:
+    """Answer a shell: the commands here, and what comes after one by Hydra.
+
+    Hydra completes programs of one name, so it is shown the line without the command.
+    """
+    line = os.environ.get("COMP_LINE", "")
+    name, _, rest = line.lstrip().partition(" ")
+    command, space, values = rest.lstrip().partition(" ")
+    if space and command in COMMANDS:
+        os.environ["COMP_LINE"] = f"{name} {values}"
+    elif line:
+        sys.stdout.write(" ".join([*COMMANDS, PAGES]) + "\n")
+        return
+    else:  # to be installed: the script is the same for all of them
+        command = "quickstart"
+    importlib.import_module("pemirl_lab.runner").run(command, arguments)
 
 
 def usage() -> str:

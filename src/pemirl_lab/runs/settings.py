@@ -138,13 +138,11 @@ class Settings:
                 f"info_estimator=public_code is for method=pemirl and its extensions; got "
                 f"method={self.method}"
             )
-        chosen = self.experiment
-        if chosen is not None and (chosen.task, chosen.method) != (self.task, self.method):
-            raise ValueError(
-                f"experiment={chosen.name} is task={chosen.task} with method={chosen.method}; got "
-                f"task={self.task} with method={self.method}: choose another experiment, or "
-                "compose task and method freely with ~experiment"
-            )
+        for name in ("environment", "test_environment"):
+            try:
+                self.task_of(getattr(self, name))
+            except ValueError as error:
+                raise ValueError(f"{name}={getattr(self, name)}: {error}") from None
 
     def task_of(self, environment: str) -> pemirl_envs.Task:
         """The task of an environment's name; ValueError lists the legal names."""
@@ -200,9 +198,24 @@ def parse(resolved: Mapping[str, Any], own: type[Own]) -> tuple[Settings, Own]:
     unknown = sorted(set(resolved) - {*_METHOD, *_SHARED, *own_names})
     if unknown:
         raise ValueError(f"unknown keys {', '.join(unknown)}")
+    _check_experiment(resolved)
     shared = {name: resolved[name] for name in _SHARED if name in resolved}
     settings = typed(Settings, {**shared, "learning": _learning(resolved), "resolved": resolved})
     return settings, typed(own, {name: resolved[name] for name in own_names if name in resolved})
+
+
+def _check_experiment(resolved: Mapping[str, Any]) -> None:
+    """First of all: of a task and a method that do not belong together, much else is wrong too."""
+    if resolved.get("experiment") is None:
+        return
+    chosen = typed(Experiment, resolved["experiment"], at="experiment")
+    task, method = resolved["task"], resolved["method"]
+    if (chosen.task, chosen.method) != (task, method):
+        raise ValueError(
+            f"experiment={chosen.name} is task={chosen.task} with method={chosen.method}; got "
+            f"task={task} with method={method}: choose another experiment, or compose task and "
+            "method freely with ~experiment"
+        )
 
 
 def _learning(resolved: Mapping[str, Any]) -> MethodConfig:
