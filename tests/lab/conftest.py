@@ -56,6 +56,9 @@ def here(tmp_path, monkeypatch):
 def command(here, monkeypatch):
     """A command line in this process and an empty working directory."""
     monkeypatch.setattr(sys, "argv", sys.argv)  # what runs a command sets it
+    # Hydra sets logging up anew, which closes all handlers; absl's, that dm_control brings, would
+    # close pytest's own stream with it.
+    monkeypatch.setattr(logging, "shutdown", lambda *handlers: None)
     on_term, handlers = signal.getsignal(signal.SIGTERM), list(logging.root.handlers)
     yield runner.run
     signal.signal(signal.SIGTERM, on_term)
