@@ -25,11 +25,15 @@ COMMANDS: Mapping[str, str] = {
 }
 """What there is, in the order of a first visit."""
 
-PAGES = "report"
+OTHERS: Mapping[str, tuple[str, str]] = {
+    "check": ("pemirl_lab.commands.check", "what is suspicious about a file of demonstrations"),
+    "report": ("pemirl_lab.pages.report", "the generated parts of the pages, from results files"),
+}
+"""What takes arguments of its own: the module, and what it does."""
+
 USAGE = """usage: pemirl COMMAND [key=value ...]
 
 {commands}
-  {report:<16} the generated parts of the pages, from the results files
 
 pemirl COMMAND --help       its values, with their defaults
 pemirl COMMAND --cfg job    what it would run, without running it
@@ -37,7 +41,7 @@ pemirl COMMAND --cfg job    what it would run, without running it
 Start with:                 pemirl quickstart preset=smoke     (seconds: does it run here?)
                             pemirl quickstart                  (minutes: Point-Maze, whole)
 Another domain:             pemirl quickstart experiment=ant   (or sweeper, sawyer_pusher)
-Completion of values:       eval "$(pemirl COMMAND -sc install=bash)"
+Completion, also of values: eval "$(pemirl -sc install=bash)"
 """
 
 
@@ -48,8 +52,11 @@ def main() -> None:
         sys.stdout.write(usage())
     elif arguments[0] == "--version":
         sys.stdout.write(f"pemirl-trl {importlib.import_module('pemirl_trl').__version__}\n")
-    elif arguments[0] == PAGES:
-        importlib.import_module("pemirl_lab.pages.report").main(arguments[1:])
+    elif arguments[0] in ("-sc", "--shell-completion"):
+        complete(arguments)
+    elif arguments[0] in OTHERS:
+        _without_a_screen()
+        importlib.import_module(OTHERS[arguments[0]][0]).main(arguments[1:])
     elif arguments[0] in COMMANDS:
         run(arguments[0], arguments[1:])
     else:
@@ -58,18 +65,40 @@ def main() -> None:
 
 def run(command: str, arguments: Sequence[str] | None = None) -> None:
     """Run a command with overrides; None takes those of this process's command line."""
-    # Where there is no screen, MuJoCo's own choice would look for one, and complain.
-    if "DISPLAY" not in os.environ:
-        headless = "osmesa" if find_library("OSMesa") else "disable"
-        os.environ.setdefault("MUJOCO_GL", headless)
+    _without_a_screen()
     given = sys.argv[1:] if arguments is None else arguments
     importlib.import_module("pemirl_lab.runner").run(command, given)
 
 
+def complete(arguments: Sequence[str]) -> None:
+    """Answer a shell: the commands here, and what comes after one by Hydra.
+
+    Hydra completes programs of one name, so it is shown the line without the command.
+    """
+    line = os.environ.get("COMP_LINE", "")
+    name, _, rest = line.lstrip().partition(" ")
+    command, space, values = rest.lstrip().partition(" ")
+    if space and command in COMMANDS:
+        os.environ["COMP_LINE"] = f"{name} {values}"
+    elif line:
+        sys.stdout.write(" ".join([*COMMANDS, *OTHERS]) + "\n")
+        return
+    else:  # to be installed: the script is the same for all of them
+        command = "quickstart"
+    run(command, arguments)
+
+
 def usage() -> str:
     """The commands, in one screen."""
-    lines = "\n".join(f"  {name:<16} {what}" for name, what in COMMANDS.items())
-    return USAGE.format(commands=lines, report=PAGES)
+    every = {**COMMANDS, **{name: what for name, (_, what) in OTHERS.items()}}
+    return USAGE.format(commands="\n".join(f"  {name:<16} {what}" for name, what in every.items()))
+
+
+def _without_a_screen() -> None:
+    """Where there is none, MuJoCo's own choice would look for one, and complain."""
+    if "DISPLAY" not in os.environ:
+        headless = "osmesa" if find_library("OSMesa") else "disable"
+        os.environ.setdefault("MUJOCO_GL", headless)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from omegaconf import DictConfig
 from pemirl_lab.cli import COMMANDS
 from pemirl_lab.runs.composition import CONF, override_key, plain, register_library
 from pemirl_lab.runs.settings import parse
-from pemirl_lab.runs.tables import read_table
+from pemirl_lab.runs.tables import Table, read_table
 
 
 def run(command: str, arguments: Sequence[str]) -> None:
@@ -40,7 +40,7 @@ def run(command: str, arguments: Sequence[str]) -> None:
         given = [header, *(text for text in given if text not in ("-h", "--help")), "--help"]
     register_library()
     importlib.import_module(f"pemirl_lab.commands.{command}")  # before Hydra shows what MuJoCo logs
-    sys.argv = [f"pemirl_{command}", *given]
+    sys.argv = ["pemirl", *given]
     hydra.main(config_path=str(CONF), config_name=command, version_base="1.3")(_job(command))()
 
 
@@ -82,14 +82,18 @@ def _interrupt(signum: int, frame: Any) -> NoReturn:
 def _expanded(arguments: Sequence[str]) -> list[str]:
     """Give ``reproduce`` every row and seed of its table, unless it is told which.
 
-    With ``--list``, show one command for each of them and leave.
+    With ``--list``, show one command for each of them and leave; with ``--cfg``, Hydra is to show
+    what one row runs.
     """
     given = [text for text in arguments if text not in ("--list", "-m", "--multirun")]
-    if any(text.startswith("-") for text in given):  # --help, --cfg: Hydra's own business
+    shown = bool({"-c", "--cfg"} & set(given))
+    if not shown and any(text.startswith("-") for text in given):  # --help: Hydra's own business
         return list(arguments)
     values = dict(text.split("=", 1) for text in given if "=" in text)
     try:
         table = read_table(values.get("table", "point_maze"))
+        if shown:
+            return _of_one_row(table, given, values.get("row", "pemirl"))
         rows = values.get("row", ",".join(table.rows)).split(",")
         most = max(table.seeds_of(row) for row in rows)
     except ValueError as error:
@@ -106,6 +110,13 @@ def _expanded(arguments: Sequence[str]) -> list[str]:
         sys.stdout.write("\n".join(listed) + "\n")
         sys.exit(0)
     return ["--multirun", *rest, f"row={','.join(rows)}", f"seed={seeds}"]
+
+
+def _of_one_row(table: Table, given: Sequence[str], row: str) -> list[str]:
+    """The row's own overrides beside those given, and what is none of them (``--cfg job``)."""
+    overrides = [text for text in given if "=" in text]
+    overrides = [text for text in overrides if override_key(text) not in ("table", "row")]
+    return [*(text for text in given if "=" not in text), *table.chosen(row, overrides)]
 
 
 def _row(config: DictConfig) -> dict[str, Any]:

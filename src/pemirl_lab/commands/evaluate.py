@@ -22,7 +22,7 @@ from pemirl_lab.measuring.scores import Scorer, context_measures, load_test_demo
 from pemirl_lab.pages.drawing import draw_learning_curve, draw_reward_maps
 from pemirl_lab.pages.tables import returns_table
 from pemirl_lab.results import Result, Score, environment_facts
-from pemirl_lab.runs.places import run_file
+from pemirl_lab.runs.places import data_file, run_file
 from pemirl_lab.runs.run_folder import RunFolder, read_curve, read_run, read_seconds, say
 from pemirl_lab.runs.settings import Settings
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
@@ -61,6 +61,7 @@ def evaluate(settings: Settings, own: Own, folder: RunFolder) -> list[Result]:
     meta_run, adaptation_run = Path(own.meta_run), Path(own.adaptation_run)
     trained = folder.reads("model", meta_run / "model.safetensors")
     folder.reads("adapted policy", adaptation_run / "policy.safetensors")
+    folder.reads("test demonstrations", data_file(settings.test_demonstrations))
     model, method = load_model(trained), read_metadata(trained)["method"]
     demonstrations = load_test_demonstrations(settings)
     if demonstrations.task is None:

@@ -33,10 +33,9 @@ from pemirl_lab.measuring.scores import Scorer, context_measures, load_test_demo
 from pemirl_lab.results import Result, Score, environment_facts, read
 from pemirl_lab.runs.run_folder import RunFolder, read_curve, read_seconds, say
 from pemirl_lab.runs.settings import Settings, variant
-from pemirl_lab.runs.tables import read_table
 from pemirl_lab.runs.validation import changed_settings
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
-from pemirl_trl.configuration import CHECKED
+from pemirl_trl.configuration import CHECKED, Count
 from pemirl_trl.files import read_metadata
 
 Setting = Literal["one_shot", "policy_generalisation", "reward_adaptation", "rl_with_true_reward"]
@@ -48,6 +47,7 @@ class Own:
 
     Attributes:
         table, row: which experiment.
+        seeds: how many it has.
         results: where its result goes.
         shared_dir: where the demonstrations and Meta-IL of a seed lie, which its rows share.
         test_split: which unseen tasks.
@@ -57,6 +57,7 @@ class Own:
 
     table: str
     row: str
+    seeds: Count
     results: str
     shared_dir: str
     test_split: Literal["test", "validation", "confirm"]
@@ -67,7 +68,7 @@ class Own:
 def run(settings: Settings, own: Own) -> Result | None:
     """One row, one seed: demonstrations, Meta-IL, the method, its policies, their scores."""
     output = Path(own.results) / f"seed{settings.seed}.json"
-    if settings.seed >= read_table(own.table).seeds_of(own.row) or output.exists():
+    if settings.seed >= own.seeds or output.exists():
         told = stored_otherwise(settings, output)
         say(f"{own.row}, seed {settings.seed}: nothing to do{told}")
         return None

@@ -27,7 +27,7 @@ from pemirl_lab.measuring.learned_rewards import (
 )
 from pemirl_lab.measuring.scores import Scorer, load_test_demonstrations
 from pemirl_lab.pages.figures import reward_maps, reward_scatter, save_figure
-from pemirl_lab.runs.places import run_file
+from pemirl_lab.runs.places import data_file, run_file
 from pemirl_lab.runs.run_folder import RunFolder, say
 from pemirl_lab.runs.settings import Settings
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
@@ -69,6 +69,7 @@ def run(settings: Settings, own: Own) -> RewardReport:
         )
     folder = RunFolder.of(settings)
     model = load_model(folder.reads("model", run_file(own.model_file, "meta_train")))
+    folder.reads("test demonstrations", data_file(settings.test_demonstrations))
     demonstrations = load_test_demonstrations(settings)
     with folder.timed("report"):
         coverage = coverage_of(settings, own.report.episodes, model, demonstrations)

@@ -84,7 +84,7 @@ class RunFolder:
             changed = sorted(
                 k for k in resolved if k not in FREE and previous.get(k) != resolved[k]
             )
-            if changed:
+            if changed and self._begun():
                 raise ValueError(
                     f"{self.path} holds a run with another {', '.join(changed)}: give another "
                     "run_dir, or delete that folder to start anew"
@@ -92,6 +92,13 @@ class RunFolder:
         with atomic_path(stored) as temporary:
             temporary.write_text(yaml.safe_dump(resolved, sort_keys=False), encoding="utf-8")
         self.write_json("versions.json", environment_facts())
+
+    def _begun(self) -> bool:
+        """Whether an earlier process came to read or to make something here.
+
+        One that was refused for a wrong name of a file has not, and does not block the right one.
+        """
+        return any(self.file(name).exists() for name in ("inputs.json", "seconds.json"))
 
     def release(self) -> None:
         """Let other processes have the folder."""

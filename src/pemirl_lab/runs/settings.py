@@ -138,6 +138,11 @@ class Settings:
                 f"info_estimator=public_code is for method=pemirl and its extensions; got "
                 f"method={self.method}"
             )
+        for name in ("environment", "test_environment"):
+            try:
+                pemirl_envs.get_task(getattr(self, name))
+            except ValueError as error:
+                raise ValueError(f"{name}={getattr(self, name)}: {error}") from None
 
     @property
     def planar(self) -> bool:
@@ -196,13 +201,16 @@ def parse(resolved: Mapping[str, Any], own: type[Own]) -> tuple[Settings, Own]:
 
 
 def _check_experiment(resolved: Mapping[str, Any]) -> None:
-    chosen = resolved.get("experiment") or resolved
-    got = (resolved["task"], resolved["method"])
-    if (chosen["task"], chosen["method"]) != got:
+    """First of all: of a task and a method that do not belong together, much else is wrong too."""
+    if resolved.get("experiment") is None:
+        return
+    chosen = typed(Experiment, resolved["experiment"], at="experiment")
+    task, method = resolved["task"], resolved["method"]
+    if (chosen.task, chosen.method) != (task, method):
         raise ValueError(
-            f"experiment={chosen['name']} is task={chosen['task']} with method={chosen['method']}; "
-            f"got task={got[0]} with method={got[1]}: choose another experiment, or compose task "
-            "and method freely without one (~experiment, where the command has one of its own)"
+            f"experiment={chosen.name} is task={chosen.task} with method={chosen.method}; got "
+            f"task={task} with method={method}: choose another experiment, or compose task and "
+            "method freely with ~experiment"
         )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from omegaconf import OmegaConf
 from pydantic.dataclasses import dataclass
 
-from pemirl_lab.runs.composition import compose, plain
+from pemirl_lab.runs.composition import compose, override_key, plain
 from pemirl_lab.runs.places import PACKAGE
 from pemirl_lab.runs.validation import typed
 from pemirl_trl.configuration import CHECKED, Count
@@ -63,9 +63,14 @@ class Table:
 
     def compose(self, name: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
         """A row's resolved configuration; ``overrides`` of the command line win over the row's."""
-        row = self.row(name)
-        chosen = [*self.overrides, *row.overrides, *overrides]
-        return plain(compose("reproduce", [*chosen, f"table={self.name}", f"row={name}"]))
+        resolved = plain(compose("reproduce", self.chosen(name, overrides)))
+        return {"seeds": self.seeds_of(name), **resolved}
+
+    def chosen(self, name: str, overrides: Sequence[str] = ()) -> list[str]:
+        """What a row overrides, together with the command line; of two for one key the later."""
+        every = [*self.overrides, *self.row(name).overrides, *overrides]
+        every += [f"table={self.name}", f"row={name}"]
+        return list({override_key(text): text for text in every}.values())
 
 
 def read_table(name: str) -> Table:

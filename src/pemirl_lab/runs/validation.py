@@ -34,9 +34,9 @@ def _explained(problem: Mapping[str, Any], at: str) -> str:
     if problem["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         return f"unknown key {name}"
     message = message.replace("Input should be", "expected")
-    return (
-        f"{name}={problem['input']}: {message}" if problem["loc"] else f"{at or 'run'}: {message}"
-    )
+    if problem["loc"]:
+        return f"{name}={problem['input']}: {message}"
+    return f"{at}: {message}" if at else message
 
 
 def changed_settings(
