@@ -26,6 +26,10 @@ from pemirl_trl.methods import (
         (lambda: PEMIRLConfig(iterations="abc"), "iterations\n  Input should be a valid integer"),
         (lambda: PEMIRLConfig(iterations=True), "iterations\n  Input should be a valid integer"),
         (lambda: PEMIRLConfig(iterations=2.0), "iterations\n  Input should be a valid integer"),
+        (
+            lambda: MetaILConfig(steps=10**12),
+            "steps\n  Input should be less than or equal to 10000000",
+        ),
         (lambda: PEMIRLConfig(iterations=0), "iterations\n  Input should be greater than or equal"),
         (
             lambda: PEMIRLConfig(gradient_penalty_coeff=float("nan")),

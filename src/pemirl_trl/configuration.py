@@ -21,8 +21,8 @@ from pydantic import ConfigDict, Field
 CHECKED = ConfigDict(extra="forbid", allow_inf_nan=False)
 """Of every configuration: no unknown names, and numbers that are finite."""
 
-Count = Annotated[int, Field(ge=1, strict=True)]
-"""A whole number of at least 1."""
+Count = Annotated[int, Field(ge=1, le=10_000_000, strict=True)]
+"""A whole number of at least 1; more than ten million of anything is a slip, and would not end."""
 Index = Annotated[int, Field(ge=0, strict=True)]
 """A whole number of at least 0."""
 Positive = Annotated[float, Field(gt=0, strict=True)]
