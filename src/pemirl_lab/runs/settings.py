@@ -217,7 +217,7 @@ def _check_experiment(resolved: Mapping[str, Any]) -> None:
 def _learning(resolved: Mapping[str, Any]) -> MethodConfig:
     values = {name: resolved[name] for name in _METHOD if name in resolved}
     algorithm = values["algorithm"]
-    if algorithm not in TRAINING:
+    if not isinstance(algorithm, str) or algorithm not in TRAINING:
         raise ValueError(f"algorithm={algorithm}: expected one of {', '.join(TRAINING)}")
     training = typed(TRAINING[algorithm], values["training"], at="training")
     return typed(MethodConfig, {**values, "training": training})

@@ -21,6 +21,8 @@ def typed(cls: type[Config], values: Mapping[str, Any], *, at: str = "") -> Conf
     Raises:
         ValueError: every wrong value, by its whole name, with what is expected.
     """
+    if not isinstance(values, Mapping):
+        raise ValueError(f"{at or 'run'}={values}: expected values by name, not one value")
     try:
         return TypeAdapter(cls).validate_python(dict(values))
     except ValidationError as error:
