@@ -131,11 +131,14 @@ def test_the_pages_list_all_methods_tables_and_domains():
 # --- snippets ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("page", ["docs/environments.md", "docs/own_task.md"])
+def snippets_of(page):
+    return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL)
+
+
+# The README's need the repository's data: tests/test_readme.py runs them.
+@pytest.mark.parametrize("page", [n for n in NAMES if snippets_of(n) and n != "README.md"])
 def test_snippets_run(page, tmp_path, monkeypatch):
-    snippets = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL)
-    assert snippets
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    for snippet in snippets:
+    for snippet in snippets_of(page):
         exec(compile(snippet, page, "exec"), names)
