@@ -36,7 +36,8 @@ def run(command: str, arguments: Sequence[str] | None = None) -> None:
     if command == "reproduce":
         given = _expanded(given)
     if {"-h", "--help"} & set(given):
-        given.append(f"hydra.help.header='pemirl {command}: {COMMANDS[command]}'")
+        what = COMMANDS[command].replace("'", "\\'")
+        given.append(f"hydra.help.header='pemirl {command}: {what}'")
     register_library()
     importlib.import_module(f"pemirl_lab.commands.{command}")  # before Hydra shows what MuJoCo logs
     sys.argv = ["pemirl", *given]

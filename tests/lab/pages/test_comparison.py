@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pemirl_lab.pages.comparison import curve_band, interval_plot, stage_curves
-from pemirl_lab.results import Result, Score
 from pemirl_lab.pages.tables import Column
+from pemirl_lab.results import Result, Score
 
 COLUMN = Column(setting="one_shot", variant="left", paper={"airl": (-18.0, 3.0), "gone": (-2, 1)})
 ROWS = {"pemirl": "PEMIRL", "airl": "AIRL", "gone": "Gone", "absent": "Absent"}

@@ -3,7 +3,6 @@
 import pytest
 
 from pemirl_lab.pages.convergence import Stage, convergence_table, steps_to_converge
-from pemirl_lab.results import Result, Score
 from pemirl_lab.pages.tables import (
     Column,
     cost_table,
@@ -12,6 +11,7 @@ from pemirl_lab.pages.tables import (
     reward_table,
     seeds_table,
 )
+from pemirl_lab.results import Result, Score
 
 ADAPTATION = Column(setting="reward_adaptation", variant="right", label="adaptation")
 ONE_SHOT = Column(setting="one_shot", variant="left", label="one-shot")
