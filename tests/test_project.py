@@ -17,7 +17,7 @@ import pemirl_trl
 
 ROOT = Path(__file__).parents[1]
 LIBRARY = ("src", "envs")
-ALL_CODE = (*LIBRARY, "recipes", "benchmarks")
+ALL_CODE = (*LIBRARY, "recipes", "benchmarks", "examples")
 FIRST_PARTY = {"pemirl_trl", "pemirl_envs", "recipes"}
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 70

@@ -99,6 +99,11 @@ def _without_a_screen() -> None:
     if "DISPLAY" not in os.environ:
         headless = "osmesa" if find_library("OSMesa") else "disable"
         os.environ.setdefault("MUJOCO_GL", headless)
+    if os.environ.get("MUJOCO_GL") == "osmesa" and not find_library("OSMesa"):
+        sys.exit(
+            "pemirl: MUJOCO_GL=osmesa, but there is no OSMesa library: install it (Debian: apt-get "
+            "install --no-install-recommends libosmesa6), or go without pictures: MUJOCO_GL=disable"
+        )
 
 
 if __name__ == "__main__":

@@ -36,7 +36,8 @@ def run(command: str, arguments: Sequence[str]) -> None:
     if command == "reproduce":
         given = _expanded(given)
     if {"-h", "--help"} & set(given):
-        header = f"hydra.help.header='pemirl {command}: {COMMANDS[command]}'"
+        what = COMMANDS[command].replace("'", "\\'")
+        header = f"hydra.help.header='pemirl {command}: {what}'"
         given = [header, *(text for text in given if text not in ("-h", "--help")), "--help"]
     register_library()
     importlib.import_module(f"pemirl_lab.commands.{command}")  # before Hydra shows what MuJoCo logs

@@ -23,8 +23,10 @@ CHECKED = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 Count = Annotated[int, Field(ge=1, le=10_000_000, strict=True)]
 """A whole number of at least 1; more than ten million of anything is a slip, and would not end."""
-Index = Annotated[int, Field(ge=0, strict=True)]
-"""A whole number of at least 0."""
+Index = Annotated[int, Field(ge=0, le=10_000_000, strict=True)]
+"""A whole number of at least 0, likewise."""
+SeedNumber = Annotated[int, Field(ge=0, lt=2**63, strict=True)]
+"""What torch and NumPy take as a seed."""
 Positive = Annotated[float, Field(gt=0, strict=True)]
 NonNegative = Annotated[float, Field(ge=0, strict=True)]
 Share = Annotated[float, Field(ge=0, le=1, strict=True)]

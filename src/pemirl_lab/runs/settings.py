@@ -13,7 +13,7 @@ from tensordict import TensorDictBase
 
 import pemirl_envs
 from pemirl_lab.runs.validation import typed
-from pemirl_trl.configuration import CHECKED, Count, Index, Positive
+from pemirl_trl.configuration import CHECKED, Count, Index, Positive, SeedNumber
 from pemirl_trl.methods import AdaptationConfig, MethodConfig, PolicyOptimizationConfig
 from pemirl_trl.methods.meta_training import TRAINING
 
@@ -25,7 +25,7 @@ class Evaluation:
     """Of policies: ``episodes`` per task, with environments of this ``seed``."""
 
     episodes: Count = 10
-    seed: Index = 1000
+    seed: SeedNumber = 1000
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -107,7 +107,7 @@ class Settings:
         resolved: all of it as it was composed, to be stored beside results.
     """
 
-    seed: Index
+    seed: SeedNumber
     threads: Count
     logger: Literal["csv", "tensorboard"] | None
     checkpoint_every: Count
