@@ -3,10 +3,11 @@
 import json
 
 import pytest
-import yaml
+from omegaconf import OmegaConf
 
 from pemirl_lab.pages import report
 from pemirl_lab.results import Result, Score
+from pemirl_lab.runs.composition import plain
 from pemirl_lab.runs.tables import read_table, table_names
 
 from ..conftest import ROOT
@@ -162,7 +163,7 @@ def test_text_by_hand_is_not_checked(command, root):
         (
             "variant: left, paper",
             "dynamics: left, paper",
-            r"part 'returns': unknown key dynamics",
+            "part 'returns': variant is missing; unknown key dynamics",
         ),
         ("caption: True", "title: True", "part 'returns': unknown key title"),
         ("variant: left}", "variant: left, colour: red}", "unexpected keyword argument 'colour'"),
@@ -231,7 +232,7 @@ def test_rows_are_called_as_their_tables_say():
 
 def test_every_row_of_every_table_is_on_a_page():
     """A row that was run and shown nowhere would be a result that is hidden."""
-    values = yaml.safe_load((ROOT / "docs/pages.yaml").read_text(encoding="utf-8"))
+    values = plain(OmegaConf.load(ROOT / "docs/pages.yaml"))
     items = [item for parts in values["pages"].values() for part in parts.values() for item in part]
     assert set(table_names()) <= set(values["tables"])
     for table in table_names():
