@@ -1,10 +1,11 @@
 """The README's snippets run, in order, and all pages' tables are those of the results files."""
 
-import importlib
 import pathlib
 import re
 
 import pytest
+
+from pemirl_lab.pages import report
 
 ROOT = pathlib.Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -22,9 +23,7 @@ def test_snippets_run(monkeypatch, capsys):
     assert len(SNIPPETS) == 4
 
 
-def test_pages_are_what_the_results_files_give(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "recipes"))
-    report = importlib.import_module("report")
+def test_pages_are_what_the_results_files_give():
     assert report.stale(ROOT, report.generate(ROOT)) == []
 
 
