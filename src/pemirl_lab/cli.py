@@ -67,7 +67,7 @@ def run(command: str, arguments: Sequence[str] | None = None) -> None:
     """Run a command with overrides; None takes those of this process's command line."""
     _without_a_screen()
     given = sys.argv[1:] if arguments is None else arguments
-    importlib.import_module("pemirl_lab.runner").run(command, given)
+    importlib.import_module("pemirl_lab.runner").run(command, given, COMMANDS[command])
 
 
 def complete(arguments: Sequence[str]) -> None:

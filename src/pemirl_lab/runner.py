@@ -20,14 +20,13 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from pemirl_lab.cli import COMMANDS
 from pemirl_lab.runs.composition import CONF, override_key, plain, register_library
 from pemirl_lab.runs.settings import parse
 from pemirl_lab.runs.tables import Table, read_table
 
 
-def run(command: str, arguments: Sequence[str]) -> None:
-    """Run a command with overrides.
+def run(command: str, arguments: Sequence[str], what: str) -> None:
+    """Run a command with overrides; ``what`` it does is the head of its help.
 
     Raises:
         SystemExit: a wrong value, or an interruption; its message says what to do.
@@ -37,8 +36,8 @@ def run(command: str, arguments: Sequence[str]) -> None:
     if command == "reproduce":
         given = _expanded(given)
     if {"-h", "--help"} & set(given):
-        what = COMMANDS[command].replace("'", "\\'")
-        header = f"hydra.help.header='pemirl {command}: {what}'"
+        quoted = what.replace("'", "\\'")
+        header = f"hydra.help.header='pemirl {command}: {quoted}'"
         given = [header, *(text for text in given if text not in ("-h", "--help")), "--help"]
     register_library()
     importlib.import_module(f"pemirl_lab.commands.{command}")  # before Hydra shows what MuJoCo logs

@@ -35,6 +35,8 @@ def _explained(problem: Mapping[str, Any], at: str) -> str:
     message = problem["msg"].removeprefix("Value error, ")
     if problem["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         return f"unknown key {name}"
+    if problem["type"] == "missing":
+        return f"{name} is missing"
     message = message.replace("Input should be", "expected")
     if problem["loc"]:
         return f"{name}={problem['input']}: {message}"

@@ -49,7 +49,7 @@ def test_a_policy_is_left_with_what_it_takes_to_load_it(settings, trained):
 def test_a_demonstration_without_its_task_is_enough(settings, trained, unseen):
     """The user has one: what it is about is to be inferred."""
     DemonstrationDataset(unseen.observation, unseen.action).save("unseen.safetensors")
-    given, own = settings("adapt_reward", *TINY)
+    given, own = settings("adapt_reward", *TINY, "adaptation.initial_policy=trained")
     policy = adapt_reward.run(given, own)
     start, _ = initial_policy(load_model("model.safetensors"), given.adaptation)
     change = [
