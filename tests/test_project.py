@@ -66,9 +66,9 @@ def undocumented(tree: ast.Module) -> Iterator[ast.AST]:
     classes = [node for node in tree.body if isinstance(node, ast.ClassDef)]
     public = [node for node in classes if not node.name.startswith("_")]
     for node in (*tree.body, *(member for owner in public for member in owner.body)):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-            if not node.name.startswith("_") and ast.get_docstring(node) is None:
-                yield node
+        named = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
+        if named and not node.name.startswith("_") and ast.get_docstring(node) is None:
+            yield node
 
 
 def code_from_files(tree: ast.Module) -> Iterator[ast.AST]:

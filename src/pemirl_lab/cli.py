@@ -26,7 +26,7 @@ COMMANDS: Mapping[str, str] = {
 """What there is, in the order of a first visit."""
 
 OTHERS: Mapping[str, tuple[str, str]] = {
-    "check": ("pemirl_lab.commands.check", "what is suspicious about a file of demonstrations"),
+    "check": ("pemirl_lab.measuring.check", "what is suspicious about a file of demonstrations"),
     "report": ("pemirl_lab.pages.report", "the generated parts of the pages, from results files"),
 }
 """What takes arguments of its own: the module, and what it does."""

@@ -31,7 +31,7 @@ def run(command: str, arguments: Sequence[str], what: str) -> None:
     Raises:
         SystemExit: a wrong value, or an interruption; its message says what to do.
     """
-    # A group that is chosen is dropped with ~ in Hydra's language, and null is what one tries first.
+    # Hydra drops a chosen group with ~; null is what one tries first.
     given = ["~experiment" if text == "experiment=null" else text for text in arguments]
     if command == "reproduce":
         given = _expanded(given)

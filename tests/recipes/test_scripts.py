@@ -25,7 +25,7 @@ def test_a_script_is_a_docstring_an_import_and_a_call(name):
     assert ast.get_docstring(tree)
     assert isinstance(documented, ast.Expr)
     assert [ast.unparse(statement) for statement in statements] == [
-        "from pemirl_lab.runner import run",
+        "from pemirl_lab.cli import run",
         CALL.format(name=name),
     ]
 

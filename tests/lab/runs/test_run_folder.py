@@ -19,7 +19,7 @@ from pemirl_trl.methods import PEMIRL
 
 KILLED = """
 import os, signal, sys
-from pemirl_lab import runner
+from pemirl_lab import cli
 from pemirl_trl.methods import PEMIRL
 
 iteration, begun = PEMIRL.iteration, []
@@ -31,7 +31,7 @@ def killed(self):
     return iteration(self)
 
 PEMIRL.iteration = killed
-runner.run("meta_train", sys.argv[1:])
+cli.run("meta_train", sys.argv[1:])
 """
 HOLDING = """
 import sys
