@@ -60,15 +60,17 @@ def prints(tree: ast.Module) -> Iterator[ast.AST]:
 
 
 def undocumented(tree: ast.Module) -> Iterator[ast.AST]:
-    """Public functions, classes and methods without a docstring; modules, too."""
+    """Public functions, classes and methods without a docstring, and the module."""
     if tree.body and ast.get_docstring(tree) is None:
         yield ast.Pass(lineno=1)
     classes = [node for node in tree.body if isinstance(node, ast.ClassDef)]
     public = [node for node in classes if not node.name.startswith("_")]
     for node in (*tree.body, *(member for owner in public for member in owner.body)):
         named = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
-        if named and not node.name.startswith("_") and ast.get_docstring(node) is None:
-            yield node
+        if not named or node.name.startswith("_") or ast.get_docstring(node) is not None:
+            continue
+        if not any(ast.unparse(decorator).endswith(".setter") for decorator in node.decorator_list):
+            yield node  # a setter is documented by its property
 
 
 def code_from_files(tree: ast.Module) -> Iterator[ast.AST]:

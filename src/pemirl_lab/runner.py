@@ -21,6 +21,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from pemirl_lab.runs.composition import CONF, override_key, plain, register_library
+from pemirl_lab.runs.places import RunRefused
 from pemirl_lab.runs.settings import parse
 from pemirl_lab.runs.tables import Table, read_table
 
@@ -68,6 +69,8 @@ def execute(module: ModuleType, command: str, config: DictConfig) -> None:
     signal.signal(signal.SIGTERM, _interrupt)
     try:
         module.run(settings, own)
+    except (RunRefused, FileNotFoundError) as error:
+        sys.exit(f"pemirl {command}: {error}")
     except KeyboardInterrupt:
         again = shlex.join(["pemirl", command, *sys.argv[1:]])
         sys.exit(f"\nstopped; {settings.run_dir} keeps what it has. To go on from there: {again}")

@@ -216,6 +216,8 @@ def _check_experiment(resolved: Mapping[str, Any]) -> None:
 
 def _learning(resolved: Mapping[str, Any]) -> MethodConfig:
     values = {name: resolved[name] for name in _METHOD if name in resolved}
+    if missing := [name for name in ("algorithm", "training") if name not in values]:
+        raise ValueError(f"{', '.join(missing)} is missing: a method has it")
     algorithm = values["algorithm"]
     if not isinstance(algorithm, str) or algorithm not in TRAINING:
         raise ValueError(f"algorithm={algorithm}: expected one of {', '.join(TRAINING)}")
