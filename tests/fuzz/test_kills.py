@@ -1,0 +1,85 @@
+"""A run that is killed at any moment, again and again, ends as one that was left alone.
+
+The moments are drawn from a seed, in real time: where a kill falls differs from machine to machine,
+and what the run ends with must not.
+"""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from safetensors.torch import load_file
+
+CODE = "from pemirl_lab.cli import main; main()"
+ALONE = os.environ | {"MUJOCO_GL": "disable", "CUDA_VISIBLE_DEVICES": "", "PYTHONHASHSEED": "0"}
+SMALL = (
+    "preset=smoke", "threads=1", "seed=3", "training.iterations=12",
+    "adaptation.optimization.iterations=8", "checkpoint_every=2", "meta_il.steps=60",
+)  # fmt: skip
+COMMANDS = {
+    "quickstart": ("run_dir=run",),
+    "meta_train": ("method=pemirl_bounded", "run_dir=run"),
+    "train_expert": (
+        "output=expert.safetensors", "run_dir=run", "expert_training.optimization.iterations=8",
+        "expert_training.tasks_per_batch=4", "expert_training.rollouts_per_task=2",
+    ),
+}  # fmt: skip
+KILLS = 12  # of each command
+
+
+def begin(command, cwd):
+    words = [sys.executable, "-c", CODE, command, *SMALL, *COMMANDS[command]]
+    with (cwd.parent / f"{cwd.name}.log").open("ab") as log:
+        return subprocess.Popen(words, cwd=cwd, env=ALONE, stdout=log, stderr=log)
+
+
+def ended_well(process, cwd):
+    assert process.wait() == 0, (cwd.parent / f"{cwd.name}.log").read_text()[-2000:]
+
+
+def weights(folder: Path):
+    """Every weight and curve that a command left, by file."""
+    tensors = {
+        str(file.relative_to(folder)): {k: v.numpy().tobytes() for k, v in load_file(file).items()}
+        for file in sorted(folder.rglob("*.safetensors"))
+        if "checkpoints" not in file.parts
+    }
+    curves = {file.name: file.read_bytes() for file in sorted(folder.rglob("curves/*.json"))}
+    rows = {
+        str(file.relative_to(folder)): [
+            line.split(",")[0] for line in file.read_text().splitlines()
+        ]
+        for file in sorted(folder.rglob("scalars/**/*.csv"))
+    }
+    return tensors, curves, rows
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_kill_changes_a_result(command, tmp_path):
+    alone, killed = tmp_path / "alone", tmp_path / "killed"
+    alone.mkdir()
+    killed.mkdir()
+    start = time.perf_counter()
+    ended_well(begin(command, alone), alone)
+    whole = time.perf_counter() - start
+    draw, done, kills = random.Random(command), False, 0
+    while not done and kills < KILLS:
+        process = begin(command, killed)
+        try:
+            process.wait(timeout=draw.uniform(0.3, 1.1) * whole)
+            ended_well(process, killed)
+            done = True
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            kills += 1
+    if not done:
+        ended_well(begin(command, killed), killed)
+    print(f"{command}: {kills} kills survived")
+    assert weights(killed) == weights(alone)
