@@ -25,6 +25,9 @@ from pemirl_lab.runs.places import RunRefused
 from pemirl_lab.runs.settings import parse
 from pemirl_lab.runs.tables import Table, read_table
 
+JOBS = 2
+"""Rows of a table side by side, where nothing else is said: each holds its rollouts in memory."""
+
 
 def run(command: str, arguments: Sequence[str], what: str) -> None:
     """Run a command with overrides; ``what`` it does is the head of its help.
@@ -113,6 +116,8 @@ def _expanded(arguments: Sequence[str]) -> list[str]:
         )
         sys.stdout.write("\n".join(listed) + "\n")
         sys.exit(0)
+    if not any(text.startswith(("hydra/launcher=", "hydra.launcher.n_jobs=")) for text in rest):
+        rest.append(f"hydra.launcher.n_jobs={JOBS}")
     return ["--multirun", *rest, f"row={','.join(rows)}", f"seed={seeds}"]
 
 

@@ -97,7 +97,9 @@ def test_help_shows_groups_and_values_and_touches_nothing(command, here, capsys)
     assert left.value.code == 0
     shown = capsys.readouterr().out
     assert shown.startswith("pemirl quickstart: meta-train, adapt and evaluate, in one run\n")
-    assert "method: airl, meta_il, meta_infogail, pemirl, pemirl_bounded, pemirl_contrastive" in shown
+    assert (
+        "method: airl, meta_il, meta_infogail, pemirl, pemirl_bounded, pemirl_contrastive" in shown
+    )
     assert "task: ant, point_maze, sawyer_pusher, sweeper\n" in shown
     assert "imitation_coeff: 0.01\n" in shown
     assert list(here.iterdir()) == []
