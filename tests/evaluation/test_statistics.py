@@ -13,6 +13,7 @@ from pemirl_trl.evaluation.statistics import (
     iqm_interval,
     pearson,
     probability_of_improvement,
+    seeds_interval,
     spearman,
     t_interval,
 )
@@ -153,3 +154,25 @@ def test_correlations_refuse_nan_and_other_shapes(correlation):
     for y in (torch.ones(2), torch.tensor([1.0, math.nan, 2.0])):
         with pytest.raises(ValueError, match="expected equal ones, without NaN"):
             correlation(torch.ones(3), y)
+
+
+def test_few_seeds_have_students_interval_and_ten_a_bootstrapped_one():
+    values = torch.randn(9, generator=torch.Generator().manual_seed(0)).tolist()
+    assert seeds_interval(values) == t_interval(values)
+    ten = [*values, 0.5]
+    assert seeds_interval(ten) == iqm_interval(ten)
+    assert math.isnan(seeds_interval([1.0]).low)
+
+
+@pytest.mark.parametrize("seeds", [3, 5])
+def test_the_interval_of_few_seeds_covers_what_it_promises(seeds):
+    """A bootstrap of so few does not: it resamples what was seen."""
+    generator = torch.Generator().manual_seed(1)
+    draws = torch.randn(400, seeds, generator=generator, dtype=torch.float64)
+    covered = [i.low < 0 < i.high for i in map(seeds_interval, draws.tolist())]
+    bootstrapped = [
+        i.low < 0 < i.high for i in (iqm_interval(d, resamples=300) for d in draws.tolist())
+    ]
+    share, resampled = sum(covered) / 400, sum(bootstrapped) / 400
+    assert 0.92 < share < 0.98
+    assert resampled < 0.92

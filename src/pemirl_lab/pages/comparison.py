@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pemirl_lab.pages.tables import Column, Rows, by_seed, scores_of
 from pemirl_lab.results import Result
-from pemirl_trl.evaluation.statistics import iqm_interval
+from pemirl_trl.evaluation.statistics import seeds_interval
 
 __all__ = ["curve_band", "interval_plot", "stage_curves"]
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 def curve_band(curves: Sequence[Sequence[Sequence[float]]]) -> tuple[Array, Array]:
-    """Interquartile mean over seeds with its pointwise 95 % interval.
+    """The mean over seeds (of ten and more: their IQM) with its pointwise 95 % interval.
 
     Args:
         curves: ``(x, y)`` pairs of each seed, x increasing; interpolated where their x differ.
@@ -46,7 +46,7 @@ def curve_band(curves: Sequence[Sequence[Sequence[float]]]) -> tuple[Array, Arra
         raise ValueError(f"got curves over {ranges}; expected one or more that share a range")
     x = np.linspace(low, high, _POINTS)
     values = np.stack([np.interp(x, *run) for run in runs])  # [seeds, P]
-    band = np.array([iqm_interval(at.tolist(), resamples=_RESAMPLES) for at in values.T]).T
+    band = np.array([seeds_interval(at, resamples=_RESAMPLES) for at in values.T]).T
     return x, np.where(np.isnan(band), band[0], band)
 
 
@@ -58,7 +58,7 @@ def stage_curves(
     ylabel: str = "true return",
     title: str = "",
 ) -> Figure:
-    """Learning curves over seeds: the interquartile mean, and its interval as a band.
+    """Learning curves over seeds: their mean or IQM, and its interval as a band.
 
     Args:
         results: of one comparison.
@@ -98,7 +98,7 @@ def stage_curves(
 def interval_plot(
     results: Sequence[Result], column: Column, rows: Rows, *, title: str = ""
 ) -> Figure:
-    """Interquartile mean of each row with its 95 % interval, every seed, paper and expert.
+    """Mean or IQM of each row with its 95 % interval, every seed, paper and expert.
 
     Args:
         results: of one comparison.
@@ -118,7 +118,7 @@ def interval_plot(
         colour = _COLOURS[y % len(_COLOURS)]
         if scores[row]:
             means = [score.mean for score in scores[row]]
-            estimate, low, high = iqm_interval(means)
+            estimate, low, high = seeds_interval(means)
             if math.isfinite(low):
                 axes.plot([low, high], [y, y], color=colour, linewidth=7, alpha=0.35, zorder=2)
             axes.plot([estimate] * 2, [y - 0.28, y + 0.28], color=colour, linewidth=2.5, zorder=3)

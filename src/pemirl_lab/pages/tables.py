@@ -1,9 +1,9 @@
 """Markdown tables of results: named configurations down, what was measured across.
 
 Every table takes the results of one comparison (one ``table`` and ``split`` of
-:class:`~pemirl_lab.results.Result`), shows a measured number as its interquartile mean
-over seeds with a 95 % bootstrap interval (no interval for one seed), what was not measured as "–",
-and is empty where no row has results.
+:class:`~pemirl_lab.results.Result`), shows a measured number as what its seeds say
+together with a 95 % interval (:func:`~pemirl_trl.evaluation.seeds_interval`; none for one seed),
+what was not measured as "–", and is empty where no row has results.
 """
 
 from __future__ import annotations
@@ -20,9 +20,8 @@ from pemirl_lab.results import Result, Score, normalised_return
 from pemirl_trl.configuration import CHECKED
 from pemirl_trl.evaluation.statistics import (
     Interval,
-    iqm,
-    iqm_interval,
     probability_of_improvement,
+    seeds_interval,
 )
 
 __all__ = [
@@ -101,7 +100,7 @@ def scores_of(results: Sequence[Result], row: str, column: Column) -> dict[int, 
 def returns_table(
     results: Sequence[Result], columns: Sequence[Column] = (), rows: Rows | None = None
 ) -> str:
-    """True returns: ``IQM [interval] (normalised IQM)``, beside a paper's where a column has it.
+    """True returns: ``estimate [interval] (normalised)``, beside a paper's where a column has it.
 
     A row or column without results is shown only for the paper's sake. The first two lines are the
     expert and the random policy on the same tasks.
@@ -155,8 +154,8 @@ def improvement_table(results: Sequence[Result], column: Column, baseline: str, 
 
     ``P(better)`` takes the seeds of both as independent
     (:func:`~pemirl_trl.evaluation.statistics.probability_of_improvement`). The difference is taken
-    seed by seed, for runs of one seed may share demonstrations and networks: its interquartile
-    mean, and on how many of the shared seeds it is above zero.
+    seed by seed, for runs of one seed may share demonstrations and networks: what the seeds say
+    together, and on how many of those that are shared it is above zero.
 
     Raises:
         ValueError: the baseline is none of the rows.
@@ -174,7 +173,7 @@ def improvement_table(results: Sequence[Result], column: Column, baseline: str, 
         cells = [MISSING, MISSING]
         if differences:
             above = sum(difference > 0 for difference in differences)
-            cells = [_interval(iqm_interval(differences)), f"{above} of {len(differences)}"]
+            cells = [_interval(seeds_interval(differences)), f"{above} of {len(differences)}"]
         lines.append([label, _interval(chance), *cells])
     chance_heading = f"P(better than {rows[baseline]})"
     heading = [column.heading, chance_heading, "difference by seed", "better on seeds"]
@@ -194,7 +193,7 @@ def reward_table(results: Sequence[Result], measures: Mapping[str, str], rows: R
         rewards = [r.reward for r in by_seed(results, row).values() if r.reward]
         if rewards:
             found = ([r[name] for r in rewards if name in r] for name in measures)
-            cells = [_interval(iqm_interval(v), 3) if v else MISSING for v in found]
+            cells = [_interval(seeds_interval(v), 3) if v else MISSING for v in found]
             lines.append([label, str(len(rewards)), *cells])
     return markdown_table(["", "seeds", *measures.values()], lines)
 
@@ -267,9 +266,9 @@ def _interval(interval: Interval, digits: int = 2) -> str:
 def _return_cell(scores: Mapping[int, Score], seeds: int) -> str:
     if not scores:
         return MISSING
-    normalised = iqm([score.normalised for score in scores.values()])
+    normalised = seeds_interval([score.normalised for score in scores.values()]).estimate
     few = f", {len(scores)} of {seeds} seeds" if len(scores) < seeds else ""
-    interval = iqm_interval([score.mean for score in scores.values()])
+    interval = seeds_interval([score.mean for score in scores.values()])
     return f"{_interval(interval)} ({normalised:z.3f}{few})"
 
 

@@ -39,6 +39,7 @@ from pemirl_trl.evaluation.statistics import (
     iqm_interval,
     pearson,
     probability_of_improvement,
+    seeds_interval,
     spearman,
     t_interval,
 )
@@ -69,6 +70,7 @@ __all__ = [
     "returns_per_task",
     "reward_on_grid",
     "reward_report",
+    "seeds_interval",
     "shaped_reward_of",
     "shaping_subspace",
     "spearman",

@@ -18,12 +18,15 @@ __all__ = [
     "iqm_interval",
     "pearson",
     "probability_of_improvement",
+    "seeds_interval",
     "spearman",
     "t_interval",
 ]
 
 Array = NDArray[np.float64]
 
+FEWEST_TO_RESAMPLE = 10
+"""Seeds from which on an interval is bootstrapped."""
 _TRIMMED = 0.25  # from each end: the interquartile mean
 _BATCH = 1000  # resamples whose statistic is computed at once, for memory's sake
 
@@ -48,6 +51,22 @@ def t_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
         return Interval(mean, math.nan, math.nan)
     half = float(stats.t.ppf((1 + confidence) / 2, n - 1)) * float(sample.std(ddof=1)) / n**0.5
     return Interval(mean, mean - half, mean + half)
+
+
+def seeds_interval(values: ArrayLike, *, resamples: int = 10_000) -> Interval:
+    """What seeds say together: their mean with Student's t, or, of ten and more, their IQM.
+
+    The bootstrap resamples what was seen: with 3 seeds its 95 % interval covers the truth in 76 %
+    of cases, with 5 in 90 %, and from 10 on in about what it promises. Student's t covers what it
+    promises at any number, where seeds are about normal.
+
+    Raises:
+        ValueError: no values, or values that are not finite.
+    """
+    sample = _sample(values, 0.95)
+    if len(sample) < FEWEST_TO_RESAMPLE:
+        return t_interval(sample)
+    return iqm_interval(sample.tolist(), resamples=resamples)
 
 
 def iqm(values: ArrayLike) -> float:
