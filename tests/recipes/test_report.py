@@ -6,7 +6,6 @@ import pathlib
 import sys
 
 import pytest
-
 from pemirl_trl.evaluation.results import Result, Score
 
 RECIPES = pathlib.Path(__file__).parents[2] / "recipes"
