@@ -18,6 +18,7 @@ from torchrl.envs import (
     Transform,
     TransformedEnv,
 )
+from torchrl.modules import RandomPolicy
 
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.requirements import check_environment, check_episodes
@@ -59,15 +60,16 @@ class Episodes:
         with torch.random.fork_rng(devices=[]):
             env = self._batched(_PROBED, seed)
             infer = InferContext(model.encoder, demonstrations.trajectories())
-            check_environment(TransformedEnv(env, infer), model.policy, model.horizon)
-            rollouts = env.rollout(model.horizon, break_when_any_done=False)
+            check_environment(_transformed(env, infer), model.policy, model.horizon)
+            actor = RandomPolicy(env.action_spec)
+            rollouts = env.rollout(model.horizon, actor, break_when_any_done=False)
             self._limited = check_episodes(rollouts, model.horizon)
             env.close()
 
     def __call__(self, num_envs: int, seed: int, transform: Transform) -> EnvBase:
         """Make ``num_envs`` environments, with a transform that decides what is rolled out."""
         limit = [] if self._limited else [StepCounter(self._horizon)]
-        return TransformedEnv(self._batched(num_envs, seed), Compose(*limit, transform))
+        return _transformed(self._batched(num_envs, seed), Compose(*limit, transform))
 
     def _batched(self, num_envs: int, seed: int) -> EnvBase:
         env = self._torchrl(num_envs, seed)
@@ -115,12 +117,12 @@ def wrap_gymnasium(env: VectorEnv, observation_key: str = "observation") -> EnvB
             "gymnasium.vector.AutoresetMode.DISABLED})"
         )
     wrapped = GymWrapper(env)
-    if observation_key == "observation":
+    if observation_key in ("observation", "state"):  # TorchRL itself takes "state" for it
         return wrapped
     there = [str(key) for key in wrapped.observation_spec]
     if observation_key not in there:
         raise ValueError(f"the environment observes {there}; got observation_key={observation_key}")
-    return TransformedEnv(wrapped, RenameTransform([observation_key], ["observation"]))
+    return _transformed(wrapped, RenameTransform([observation_key], ["observation"]))
 
 
 def _check_time_limit(env: VectorEnv, horizon: int) -> None:
@@ -146,4 +148,9 @@ def _single_precision(env: EnvBase) -> EnvBase:
     acts = ["action"] if env.action_spec.dtype == torch.float64 else []
     if not seen and not acts:
         return env
-    return TransformedEnv(env, DoubleToFloat(in_keys=seen, in_keys_inv=acts))
+    return _transformed(env, DoubleToFloat(in_keys=seen, in_keys_inv=acts))
+
+
+def _transformed(env: EnvBase, transform: Transform) -> TransformedEnv:
+    """Add a transform; one that a user's environment already has stays inside, as it is."""
+    return TransformedEnv(env, transform, auto_unwrap=False)
