@@ -48,6 +48,11 @@ def test_budgets_are_kept_at_every_horizon_or_the_least_iterations_are_done(hori
     assert adaptation.rollouts >= 4 * count
 
 
+def test_the_weight_of_kl_is_the_evidence_bounds_own_on_long_episodes_alone():
+    weights = [meta_training_config(data(4, horizon)).meta_il.kl_coeff for horizon in (10, 500)]
+    assert weights == [0.03, 0.002]
+
+
 def test_deviations_are_in_units_of_the_demonstrated_actions():
     one, ten = (adaptation_config(data(size=size)) for size in (1.0, 10.0))
     assert ten.policy_scale == 10.0 * one.policy_scale == 30.0
