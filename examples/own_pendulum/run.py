@@ -25,6 +25,7 @@ from pemirl_trl import (
     ContextPolicy,
     DemonstrationDataset,
     InferContext,
+    PEMIRLModel,
     SampleTasks,
     adapt,
     infer,
@@ -63,7 +64,7 @@ def run(seed: int, training: dict[str, Any], optimization: dict[str, Any]) -> di
         tasks=new.tasks(),
     )
     targets = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=EPISODES)
-    oracle = reinforcement_learning(new, seed, optimization)
+    oracle = reinforcement_learning(model, new, seed, optimization)
     returns = {
         "expert": score(targets, act),
         "random": score(targets, None),
@@ -117,11 +118,11 @@ def score(transform: Transform, actor: Actor, motor: float = SHIFT) -> list[floa
 
 
 def reinforcement_learning(
-    new: DemonstrationDataset, seed: int, settings: dict[str, Any]
+    model: PEMIRLModel, new: DemonstrationDataset, seed: int, settings: dict[str, Any]
 ) -> ContextPolicy:
     """A policy that reads the target, on the true reward, with adaptation's own settings."""
     torch.manual_seed(seed)
-    config = adaptation_config(new, settings)
+    config = adaptation_config(model, new, settings)
     rollouts = config.rollouts // len(new)
     targets = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=rollouts)
     target = ("task", "target")

@@ -22,8 +22,12 @@ from omegaconf import DictConfig
 
 from pemirl_lab.cli import COMMANDS
 from pemirl_lab.runs.composition import CONF, override_key, plain, register_library
+from pemirl_lab.runs.own_task import is_own, parse_words
 from pemirl_lab.runs.settings import parse
 from pemirl_lab.runs.tables import Table, read_table
+
+OWN_TASK = ("meta_train", "adapt_reward")
+"""What also runs on an environment of the user's own, with ``env=my_module:make_env``."""
 
 
 def run(command: str, arguments: Sequence[str]) -> None:
@@ -33,6 +37,9 @@ def run(command: str, arguments: Sequence[str]) -> None:
         SystemExit: a wrong value, or an interruption; its message says what to do.
     """
     given = list(arguments)
+    if command in OWN_TASK and is_own(given):
+        run_own(command, given)
+        return
     if command == "reproduce":
         given = _expanded(given)
     if {"-h", "--help"} & set(given):
@@ -64,12 +71,32 @@ def execute(module: ModuleType, command: str, config: DictConfig) -> None:
         settings, own = parse(resolved, module.Own)
     except ValueError as error:
         sys.exit(f"pemirl {command}: {error}")
+    _resumable([command, *sys.argv[1:]], settings.run_dir, lambda: module.run(settings, own))
+
+
+def run_own(command: str, given: Sequence[str]) -> None:
+    """Run a command on an environment of the user's own.
+
+    Raises:
+        SystemExit: a wrong value, environment or file, or an interruption; says what to do.
+    """
+    module = importlib.import_module(f"pemirl_lab.commands.{command}")
+    torch.set_num_threads(1)  # as in execute
+    try:
+        task = parse_words(given, module.OwnEnvironment, rest=True)
+        _resumable([command, *given], task.run_dir, lambda: module.run_own(task))
+    except (ValueError, TypeError, FileNotFoundError) as error:
+        sys.exit(f"pemirl {command}: {error}")
+
+
+def _resumable(words: Sequence[str], run_dir: str, work: Callable[[], object]) -> None:
+    """Do the work; where it is interrupted, say how to go on."""
     signal.signal(signal.SIGTERM, _interrupt)
     try:
-        module.run(settings, own)
+        work()
     except KeyboardInterrupt:
-        again = shlex.join(["pemirl", command, *sys.argv[1:]])
-        sys.exit(f"\nstopped; {settings.run_dir} keeps what it has. To go on from there: {again}")
+        again = shlex.join(["pemirl", *words])
+        sys.exit(f"\nstopped; {run_dir} keeps what it has. To go on from there: {again}")
 
 
 def _interrupt(signum: int, frame: Any) -> NoReturn:

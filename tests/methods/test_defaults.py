@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from pemirl_trl import DemonstrationDataset
+from pemirl_trl import DemonstrationDataset, ModelConfig, PEMIRLModel
 from pemirl_trl.methods import (
     METHODS,
     MetaILConfig,
@@ -24,12 +24,16 @@ def data(count=100, horizon=100, size=1.0):
     return DemonstrationDataset(torch.randn(count, horizon + 1, 3), action)
 
 
+def model(**sizes):
+    return PEMIRLModel(3, 1, 100, ModelConfig(**sizes))
+
+
 def test_budgets_are_those_of_point_maze_at_its_horizon():
     config = meta_training_config(data())
     assert (config.contexts_per_batch, config.training.rollouts_per_context) == (50, 8)
     assert config.training.iterations == 50
     assert config.meta_il.kl_coeff == 0.01
-    adaptation = adaptation_config(data(30))
+    adaptation = adaptation_config(model(), data(30))
     assert (adaptation.rollouts, adaptation.optimization.iterations) == (180, 72)
 
 
@@ -42,7 +46,7 @@ def test_budgets_are_kept_at_every_horizon_or_the_least_iterations_are_done(hori
     assert config.training.iterations == LEAST_ITERATIONS or 1.8e6 < total < 2.2e6
     assert config.training.rollouts_per_context >= 2
     assert config.contexts_per_batch <= count
-    adaptation = adaptation_config(data(count, horizon))
+    adaptation = adaptation_config(model(), data(count, horizon))
     total = adaptation.rollouts * horizon * adaptation.optimization.iterations
     assert adaptation.optimization.iterations == LEAST_ITERATIONS or 1.2e6 < total < 1.4e6
     assert adaptation.rollouts >= 4 * count
@@ -54,7 +58,7 @@ def test_the_weight_of_kl_is_the_evidence_bounds_own_on_long_episodes_alone():
 
 
 def test_deviations_are_in_units_of_the_demonstrated_actions():
-    one, ten = (adaptation_config(data(size=size)) for size in (1.0, 10.0))
+    one, ten = (adaptation_config(model(policy_scale=size), data()) for size in (1.0, 10.0))
     assert ten.policy_scale == 10.0 * one.policy_scale == 30.0
     assert ten.optimization.final_scale == 10.0 * one.optimization.final_scale
     assert ten.optimization.imitate_best == pytest.approx(one.optimization.imitate_best / 100.0)
@@ -91,8 +95,8 @@ def test_iterations_follow_from_given_rollouts():
     config = meta_training_config(data(), overrides={"training": {"rollouts_per_context": 4}})
     assert config.training.iterations == 100
     whole = {"optimization": PolicyOptimizationConfig(iterations=3)}
-    assert adaptation_config(data(), whole).optimization.iterations == 3
-    assert adaptation_config(data(), {"rollouts": 100}).optimization.iterations == 130
+    assert adaptation_config(model(), data(), whole).optimization.iterations == 3
+    assert adaptation_config(model(), data(), {"rollouts": 100}).optimization.iterations == 130
 
 
 @pytest.mark.parametrize(
@@ -119,4 +123,6 @@ def test_the_table_shows_what_is_used():
     text = table(found, meta_training_config(data(), overrides=overrides))
     assert "training.iterations            7\n" in text
     assert "meta_il.kl_coeff               0.01\n" in text
-    assert "rollouts" in table(found_for_adaptation(data()), adaptation_config(data()))
+    assert "rollouts" in table(
+        found_for_adaptation(model(), data()), adaptation_config(model(), data())
+    )

@@ -50,7 +50,9 @@ def test_an_old_file_does_not_know_its_family():
     one = DemonstrationDataset(torch.randn(1, 5, 3), torch.randn(1, 4, 2))
     inference = infer(model, one)
     assert inference.distance is None
-    assert str(inference).endswith("distance: unknown: the model does not say what it was trained on")
+    assert str(inference).endswith(
+        "distance: unknown: the model does not say what it was trained on"
+    )
 
 
 def test_several_demonstrations_are_refused(trained, dataset):
@@ -60,7 +62,9 @@ def test_several_demonstrations_are_refused(trained, dataset):
 
 def test_a_demonstration_of_another_size_is_refused(trained):
     other = DemonstrationDataset(torch.zeros(1, 6, 3), torch.ones(1, 5, 1))
-    with pytest.raises(ValueError, match=r"\(S, A, T\) = \(3, 1, 5\).* was trained on \(1, 1, 10\)"):
+    with pytest.raises(
+        ValueError, match=r"\(S, A, T\) = \(3, 1, 5\).* was trained on \(1, 1, 10\)"
+    ):
         infer(trained, other)
 
 

@@ -117,8 +117,9 @@ def test_a_model_of_an_unknown_family_is_said(trained, new, make_env):
     old = copy.deepcopy(trained)
     old.family = None
     few = {"rollouts": 12, "optimization": {"iterations": 1}}
-    assert "whether these demonstrations are of its family is unknown" in (
-        adapt(old, new, make_env, **few).warnings[0]
+    assert (
+        "whether these demonstrations are of its family is unknown"
+        in (adapt(old, new, make_env, **few).warnings[0])
     )
 
 

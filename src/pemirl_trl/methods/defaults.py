@@ -14,6 +14,7 @@ from pemirl_trl.configuration import typed
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.adaptation import AdaptationConfig
 from pemirl_trl.methods.meta_training import METHODS, TRAINING, MethodConfig
+from pemirl_trl.modules import PEMIRLModel
 
 PRESETS: Mapping[str, str] = {
     "paper": "pemirl",
@@ -58,19 +59,20 @@ def meta_training_config(
 
 
 def adaptation_config(
-    demonstrations: DemonstrationDataset,
-    overrides: Values | None = None,
+    model: PEMIRLModel, demonstrations: DemonstrationDataset, overrides: Values | None = None
 ) -> AdaptationConfig:
     """The configuration of adaptation to the reward of each of these demonstrations.
 
     Args:
+        model: knows the size of the actions, by the deviation that its policy began with; those of
+            one demonstration may all be small.
         demonstrations: one of each new task.
         overrides: fields of :class:`AdaptationConfig`, as in :func:`meta_training_config`.
 
     Raises:
         ValueError: a wrong name or value of a setting.
     """
-    found = found_for_adaptation(demonstrations, overrides)
+    found = found_for_adaptation(model, demonstrations, overrides)
     values = merged(dataclasses.asdict(AdaptationConfig()), found, overrides or {})
     return typed(AdaptationConfig, values)
 
@@ -113,13 +115,13 @@ def found_for_meta_training(
 
 
 def found_for_adaptation(
-    demonstrations: DemonstrationDataset, overrides: Values | None = None
+    model: PEMIRLModel, demonstrations: DemonstrationDataset, overrides: Values | None = None
 ) -> dict[str, Any]:
-    """What the demonstrations say about adaptation; see :func:`found_for_meta_training`."""
+    """What model and demonstrations say about adaptation; see :func:`found_for_meta_training`."""
     horizon, count = demonstrations.horizon, len(demonstrations)
     least = _between(round(18_000 / horizon), 60, 400)
     rollouts = _given(overrides or {}, ("rollouts",), count * max(4, round(least / count)))
-    scale = action_size(demonstrations)
+    scale = model.config.policy_scale
     return {
         "rollouts": rollouts,
         "policy_scale": 3.0 * scale,

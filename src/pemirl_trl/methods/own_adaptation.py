@@ -115,8 +115,8 @@ def adapt(
         TrainingDiverged: a quantity exploded.
     """
     data = as_dataset(demonstrations)
-    config = adaptation_config(data, overrides)
-    found = table(found_for_adaptation(data, overrides), config)
+    config = adaptation_config(model, data, overrides)
+    found = table(found_for_adaptation(model, data, overrides), config)
     LOG.info("adaptation with\n%s", found)
     choose = "initial_policy" not in overrides
     what = f"{config} choose={choose} seed={seed} data={digest(data)}"
