@@ -3,16 +3,20 @@
 import importlib
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+import torch
 from hydra.errors import HydraException
 
 import pemirl_envs
-from pemirl_lab.cli import COMMANDS, PAGES
+from pemirl_lab.cli import COMMANDS, OTHERS
 from pemirl_lab.runs.composition import compose, plain
 from pemirl_lab.runs.settings import parse
 from pemirl_lab.runs.tables import read_table, table_names
+from pemirl_trl import DemonstrationDataset
 from pemirl_trl.methods import METHODS
 
 ROOT = Path(__file__).parents[1]
@@ -95,7 +99,7 @@ def check(words):
 
 @pytest.mark.parametrize("words", commands(), ids=" ".join)
 def test_a_command_on_a_page_can_be_run(words):
-    if words[0] != PAGES:
+    if words[0] not in OTHERS:
         check(words)
 
 
@@ -115,7 +119,7 @@ def test_a_wrong_command_is_seen(words, message):
 
 def test_the_page_of_commands_lists_them_all():
     listed = re.findall(r"^\| `(\w+)` \|", (ROOT / "recipes/README.md").read_text("utf-8"), re.M)
-    assert sorted(listed) == sorted([*COMMANDS, PAGES])
+    assert sorted(listed) == sorted([*COMMANDS, *OTHERS])
 
 
 def test_the_pages_list_all_methods_tables_and_domains():
@@ -131,11 +135,50 @@ def test_the_pages_list_all_methods_tables_and_domains():
 # --- snippets ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("page", ["docs/environments.md", "docs/own_task.md"])
+def snippets_of(page):
+    return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL)
+
+
+# The README's need the repository's data: tests/test_readme.py runs them.
+@pytest.mark.parametrize("page", [n for n in NAMES if snippets_of(n) and n != "README.md"])
 def test_snippets_run(page, tmp_path, monkeypatch):
-    snippets = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL)
-    assert snippets
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    for snippet in snippets:
+    for snippet in snippets_of(page):
         exec(compile(snippet, page, "exec"), names)
+
+
+REGISTERED = """
+import pemirl_envs
+from toy_task import Cart
+pemirl_envs.register_domain("cart", {{"normal": Cart, "heavy": Cart}})
+{script}
+"""
+CART = {
+    r"^task: .*": "task: cart",
+    r"point_maze/left": "cart/normal",
+    r"point_maze/right": "cart/heavy",
+    r"data/point_maze_": "",
+}
+
+
+def test_the_script_for_a_task_from_outside_trains_on_it(tmp_path):
+    """What docs/own_task.md says: a registered domain, a YAML file and three lines."""
+    text = (ROOT / "docs/own_task.md").read_text("utf-8")
+    script = re.search(r"```text\n(import sys\n.*?)```", text, re.DOTALL)[1]
+    (tmp_path / "lab.py").write_text(REGISTERED.format(script=script))
+    (tmp_path / "toy_task.py").write_text((ROOT / "tests/envs/toy_task.py").read_text("utf-8"))
+    (tmp_path / "toy_task.xml").write_text((ROOT / "tests/envs/toy_task.xml").read_text("utf-8"))
+    settings = (ROOT / "src/pemirl_lab/conf/task/point_maze.yaml").read_text("utf-8")
+    for old, new in CART.items():
+        settings = re.sub(old, new, settings, flags=re.MULTILINE)
+    (tmp_path / "conf/task").mkdir(parents=True)
+    (tmp_path / "conf/task/cart.yaml").write_text(settings)
+    episodes = [(torch.randn(11, 2), torch.randn(10, 1)) for _ in range(12)]
+    DemonstrationDataset.from_episodes(episodes).save(tmp_path / "train.safetensors")
+    words = ["meta_train", "task=cart", "method=pemirl_robust", "preset=smoke", "threads=1"]
+    done = subprocess.run(
+        [sys.executable, "lab.py", *words], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "runs/meta_train/cart/pemirl_robust/seed0/model.safetensors").exists()

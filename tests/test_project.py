@@ -17,8 +17,8 @@ import pemirl_trl
 
 ROOT = Path(__file__).parents[1]
 LIBRARY = ("src", "envs")
-ALL_CODE = (*LIBRARY, "recipes", "benchmarks")
-FIRST_PARTY = {"pemirl_trl", "pemirl_envs", "recipes"}
+ALL_CODE = (*LIBRARY, "recipes", "benchmarks", "examples")
+FIRST_PARTY = {"pemirl_trl", "pemirl_envs", "pemirl_lab", "recipes"}
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 70
 
@@ -59,6 +59,20 @@ def prints(tree: ast.Module) -> Iterator[ast.AST]:
             yield node
 
 
+def undocumented(tree: ast.Module) -> Iterator[ast.AST]:
+    """Public functions, classes and methods without a docstring, and the module."""
+    if tree.body and ast.get_docstring(tree) is None:
+        yield ast.Pass(lineno=1)
+    classes = [node for node in tree.body if isinstance(node, ast.ClassDef)]
+    public = [node for node in classes if not node.name.startswith("_")]
+    for node in (*tree.body, *(member for owner in public for member in owner.body)):
+        named = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
+        if not named or node.name.startswith("_") or ast.get_docstring(node) is not None:
+            continue
+        if not any(ast.unparse(decorator).endswith(".setter") for decorator in node.decorator_list):
+            yield node  # a setter is documented by its property
+
+
 def code_from_files(tree: ast.Module) -> Iterator[ast.AST]:
     """Whatever runs code that a data file contains."""
     unsafe = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve"}
@@ -86,6 +100,9 @@ LAWS = [
         long_functions, ALL_CODE, "def f():\n" + " x = 1\n" * (MAX_FUNCTION_LINES + 1), id="length"
     ),
     pytest.param(prints, LIBRARY, "print(1)", id="print"),
+    pytest.param(
+        undocumented, LIBRARY, '"""A."""\nclass A:\n """A."""\n def f(self): 1', id="docs"
+    ),
     pytest.param(code_from_files, ALL_CODE, "torch.load(f, weights_only=False)", id="pickle"),
 ]
 
@@ -103,6 +120,11 @@ def test_code_obeys(check: Check, folders: tuple[str, ...], offence: str):
         for node in check(ast.parse(path.read_text("utf-8")))
     ]
     assert not found
+
+
+@pytest.mark.parametrize("package", ["pemirl_trl", "pemirl_lab", "pemirl_envs"])
+def test_the_laws_are_about_every_package(package):
+    assert any(package in path.parts for path in sources(LIBRARY))
 
 
 def test_files_are_short():

@@ -26,8 +26,8 @@ COMMANDS: Mapping[str, str] = {
 """What there is, in the order of a first visit."""
 
 OTHERS: Mapping[str, tuple[str, str]] = {
-    "infer": ("pemirl_lab.commands.infer", "m and r of one demonstration, and how far off it is"),
-    "check": ("pemirl_lab.commands.check", "what is suspicious about a file of demonstrations"),
+    "infer": ("pemirl_lab.measuring.infer", "m and r of one demonstration, and how far off it is"),
+    "check": ("pemirl_lab.measuring.check", "what is suspicious about a file of demonstrations"),
     "report": ("pemirl_lab.pages.report", "the generated parts of the pages, from results files"),
 }
 """What takes arguments of its own: the module, and what it does."""
@@ -69,7 +69,7 @@ def run(command: str, arguments: Sequence[str] | None = None) -> None:
     """Run a command with overrides; None takes those of this process's command line."""
     _without_a_screen()
     given = sys.argv[1:] if arguments is None else arguments
-    importlib.import_module("pemirl_lab.runner").run(command, given)
+    importlib.import_module("pemirl_lab.runner").run(command, given, COMMANDS[command])
 
 
 def complete(arguments: Sequence[str]) -> None:
@@ -101,6 +101,11 @@ def _without_a_screen() -> None:
     if "DISPLAY" not in os.environ:
         headless = "osmesa" if find_library("OSMesa") else "disable"
         os.environ.setdefault("MUJOCO_GL", headless)
+    if os.environ.get("MUJOCO_GL") == "osmesa" and not find_library("OSMesa"):
+        sys.exit(
+            "pemirl: MUJOCO_GL=osmesa, but there is no OSMesa library: install it (Debian: apt-get "
+            "install --no-install-recommends libosmesa6), or go without pictures: MUJOCO_GL=disable"
+        )
 
 
 if __name__ == "__main__":

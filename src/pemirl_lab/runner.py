@@ -20,30 +20,34 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from pemirl_lab.cli import COMMANDS
 from pemirl_lab.runs.composition import CONF, override_key, plain, register_library
 from pemirl_lab.runs.own_task import is_own, parse_words
+from pemirl_lab.runs.places import RunRefused
 from pemirl_lab.runs.settings import parse
 from pemirl_lab.runs.tables import Table, read_table
 
 OWN_TASK = ("meta_train", "adapt_reward")
 """What also runs on an environment of the user's own, with ``env=my_module:make_env``."""
+JOBS = 2
+"""Rows of a table side by side, where nothing else is said: each holds its rollouts in memory."""
 
 
-def run(command: str, arguments: Sequence[str]) -> None:
-    """Run a command with overrides.
+def run(command: str, arguments: Sequence[str], what: str) -> None:
+    """Run a command with overrides; ``what`` it does is the head of its help.
 
     Raises:
         SystemExit: a wrong value, or an interruption; its message says what to do.
     """
-    given = list(arguments)
-    if command in OWN_TASK and is_own(given):
-        run_own(command, given)
+    if command in OWN_TASK and is_own(arguments):
+        run_own(command, arguments)
         return
+    # Hydra drops a chosen group with ~; null is what one tries first.
+    given = ["~experiment" if text == "experiment=null" else text for text in arguments]
     if command == "reproduce":
         given = _expanded(given)
     if {"-h", "--help"} & set(given):
-        header = f"hydra.help.header='pemirl {command}: {COMMANDS[command]}'"
+        quoted = what.replace("'", "\\'")
+        header = f"hydra.help.header='pemirl {command}: {quoted}'"
         given = [header, *(text for text in given if text not in ("-h", "--help")), "--help"]
     register_library()
     importlib.import_module(f"pemirl_lab.commands.{command}")  # before Hydra shows what MuJoCo logs
@@ -85,8 +89,19 @@ def run_own(command: str, given: Sequence[str]) -> None:
     try:
         task = parse_words(given, module.OwnEnvironment, rest=True)
         _resumable([command, *given], task.run_dir, lambda: module.run_own(task))
-    except (ValueError, TypeError, FileNotFoundError) as error:
+    except (ValueError, TypeError) as error:
+        if not _is_ours(error):
+            raise
         sys.exit(f"pemirl {command}: {error}")
+
+
+def _is_ours(error: Exception) -> bool:
+    """Whether this project raised it; an error in the user's module needs its traceback."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    name = "" if trace is None else str(trace.tb_frame.f_globals.get("__name__"))
+    return name.startswith("pemirl_")
 
 
 def _resumable(words: Sequence[str], run_dir: str, work: Callable[[], object]) -> None:
@@ -94,6 +109,8 @@ def _resumable(words: Sequence[str], run_dir: str, work: Callable[[], object]) -
     signal.signal(signal.SIGTERM, _interrupt)
     try:
         work()
+    except (RunRefused, FileNotFoundError) as error:
+        sys.exit(f"pemirl {words[0]}: {error}")
     except KeyboardInterrupt:
         again = shlex.join(["pemirl", *words])
         sys.exit(f"\nstopped; {run_dir} keeps what it has. To go on from there: {again}")
@@ -136,6 +153,8 @@ def _expanded(arguments: Sequence[str]) -> list[str]:
         )
         sys.stdout.write("\n".join(listed) + "\n")
         sys.exit(0)
+    if not any(text.startswith(("hydra/launcher=", "hydra.launcher.n_jobs=")) for text in rest):
+        rest.append(f"hydra.launcher.n_jobs={JOBS}")
     return ["--multirun", *rest, f"row={','.join(rows)}", f"seed={seeds}"]
 
 

@@ -26,8 +26,10 @@ CHECKED = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 Count = Annotated[int, Field(ge=1, le=10_000_000, strict=True)]
 """A whole number of at least 1; more than ten million of anything is a slip, and would not end."""
-Index = Annotated[int, Field(ge=0, strict=True)]
-"""A whole number of at least 0."""
+Index = Annotated[int, Field(ge=0, le=10_000_000, strict=True)]
+"""A whole number of at least 0, likewise."""
+SeedNumber = Annotated[int, Field(ge=0, lt=2**63, strict=True)]
+"""What torch and NumPy take as a seed."""
 Positive = Annotated[float, Field(gt=0, strict=True)]
 NonNegative = Annotated[float, Field(ge=0, strict=True)]
 Share = Annotated[float, Field(ge=0, le=1, strict=True)]
@@ -47,6 +49,8 @@ def typed(cls: type[Config], values: Mapping[str, Any], *, at: str = "") -> Conf
     Raises:
         ValueError: every wrong value, by its whole name, with what is expected.
     """
+    if not isinstance(values, Mapping):
+        raise ValueError(f"{at or 'run'}={values}: expected values by name, not one value")
     try:
         return TypeAdapter(cls).validate_python(dict(values))
     except ValidationError as error:
@@ -59,6 +63,8 @@ def _explained(problem: Mapping[str, Any], at: str) -> str:
     message = problem["msg"].removeprefix("Value error, ")
     if problem["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         return f"unknown key {name}"
+    if problem["type"] == "missing":
+        return f"{name} is missing"
     message = message.replace("Input should be", "expected")
     if problem["loc"]:
         return f"{name}={problem['input']}: {message}"

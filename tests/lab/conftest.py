@@ -12,7 +12,7 @@ import pytest
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
-from pemirl_lab import runner
+from pemirl_lab import cli
 from pemirl_lab.cli import COMMANDS
 from pemirl_lab.runs.composition import compose, plain
 from pemirl_lab.runs.settings import parse
@@ -60,7 +60,7 @@ def command(here, monkeypatch):
     # close pytest's own stream with it.
     monkeypatch.setattr(logging, "shutdown", lambda *handlers: None)
     on_term, handlers = signal.getsignal(signal.SIGTERM), list(logging.root.handlers)
-    yield runner.run
+    yield cli.run
     signal.signal(signal.SIGTERM, on_term)
     # Hydra stays as it was when a job leaves it by SystemExit, and logs to this test's stream.
     GlobalHydra.instance().clear()

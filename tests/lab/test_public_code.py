@@ -4,6 +4,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from pemirl_lab.public_code import PublicCodeInfoLoss
 from pemirl_trl import ModelConfig, PEMIRLModel
 from pemirl_trl.methods import PEMIRLConfig
 
@@ -11,12 +12,12 @@ J, M, K, T, S, A, D = 5, 3, 2, 4, 3, 2, 2
 
 
 @pytest.fixture
-def problem(recipe, float64):
+def problem(float64):
     """A model, the loss, and rollouts ``[M K, T]`` of three demonstrations."""
     model = PEMIRLModel(S, A, T, ModelConfig(context_dim=D))
     shape = {"observation": torch.randn(J, T, S), "action": torch.randn(J, T, A)}
     config = PEMIRLConfig(rollouts_per_context=K)
-    loss = recipe("public_code").PublicCodeInfoLoss(model, TensorDict(shape, [J]), config)
+    loss = PublicCodeInfoLoss(model, TensorDict(shape, [J]), config)
     observation = torch.randn(M * K, T + 1, S)
     demonstration = torch.tensor([4, 0, 2]).repeat_interleave(K).unsqueeze(1).expand(M * K, T)
     rollouts = {

@@ -7,7 +7,10 @@ import signal
 
 import pytest
 
+from pemirl_lab.cli import COMMANDS
 from pemirl_trl.methods import PEMIRL
+
+from .conftest import OWN
 
 FEW = ("preset=smoke", "threads=1", "logger=null", "run_dir=run", "training.iterations=4")
 
@@ -94,9 +97,22 @@ def test_help_shows_groups_and_values_and_touches_nothing(command, here, capsys)
     assert left.value.code == 0
     shown = capsys.readouterr().out
     assert shown.startswith("pemirl quickstart: meta-train, adapt and evaluate, in one run\n")
-    assert "method: airl, meta_il, meta_infogail, pemirl, pemirl_contrastive" in shown
+    assert (
+        "method: airl, meta_il, meta_infogail, pemirl, pemirl_bounded, pemirl_contrastive" in shown
+    )
     assert "task: ant, point_maze, sawyer_pusher, sweeper\n" in shown
     assert "imitation_coeff: 0.01\n" in shown
+    assert list(here.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_under_its_line_of_the_list(command, here, capsys, name):
+    with pytest.raises(SystemExit) as left:
+        command(name, ["-h"])
+    assert left.value.code == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith(f"pemirl {name}: {COMMANDS[name]}\n")
+    assert set(OWN[name].__dataclass_fields__) - {"seeds"} <= set(re.findall(r"^\w+", shown, re.M))
     assert list(here.iterdir()) == []
 
 

@@ -26,7 +26,7 @@ import pemirl_envs
 from pemirl_lab.measuring.rollouts import environment
 from pemirl_lab.public_code import PublicCodeInfoLoss
 from pemirl_lab.runs.own_task import OwnTask, load_make_env
-from pemirl_lab.runs.places import data_file
+from pemirl_lab.runs.places import RunRefused, data_file
 from pemirl_lab.runs.run_folder import RunFolder, say
 from pemirl_lab.runs.settings import Settings
 from pemirl_trl import DemonstrationDataset, InferContext, PEMIRLModel
@@ -175,14 +175,14 @@ def check_sizes(settings: Settings, demonstrations: DemonstrationDataset) -> Non
     """Compare S, A and T before anything is trained.
 
     Raises:
-        ValueError: demonstrations and environment do not fit together; names both.
+        RunRefused: demonstrations and environment do not fit together; names both.
     """
     for name in (settings.environment, settings.test_environment):
         task = pemirl_envs.get_task(name)
         wanted = (task.observation_size, len(task.action_bounds[0]), task.horizon)
         got = (demonstrations.observation_dim, demonstrations.action_dim, demonstrations.horizon)
         if got != wanted:
-            raise ValueError(
+            raise RunRefused(
                 f"{settings.demonstrations} holds demonstrations of (S, A, T) = {got}, but {name} "
                 f"has {wanted}"
             )

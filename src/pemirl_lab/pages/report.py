@@ -16,7 +16,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from fnmatch import filter as fnfilter
 from functools import partial
 from pathlib import Path
@@ -24,6 +24,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 from omegaconf import OmegaConf
+from pydantic.dataclasses import dataclass
 
 from pemirl_lab.pages.benchmark_tables import benchmark_parts
 from pemirl_lab.pages.comparison import interval_plot, stage_curves
@@ -44,7 +45,7 @@ from pemirl_lab.results import Result, read_all
 from pemirl_lab.runs.composition import plain
 from pemirl_lab.runs.places import CHECKOUT
 from pemirl_lab.runs.tables import read_table, table_names
-from pemirl_trl.configuration import typed
+from pemirl_trl.configuration import CHECKED, typed
 from pemirl_trl.files import atomic_path
 
 Rows = Mapping[str, str]
@@ -52,7 +53,7 @@ Drawing = partial[Figure]
 """A figure that is drawn when it is called: only ``--write`` needs it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=CHECKED)
 class Item:
     """A table or a figure of a part.
 
@@ -71,12 +72,12 @@ class Item:
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
-@dataclass
 class Pages:
-    """Generated text by page and part, and figures by file."""
+    """Generated text by page and part (``parts``), and figures by file (``figures``)."""
 
-    parts: dict[str, dict[str, str]] = field(default_factory=dict)
-    figures: dict[str, Drawing] = field(default_factory=dict)
+    def __init__(self) -> None:
+        self.parts: dict[str, dict[str, str]] = {}
+        self.figures: dict[str, Drawing] = {}
 
 
 # --- kinds -------------------------------------------------------------------------------------

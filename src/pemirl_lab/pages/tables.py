@@ -12,9 +12,12 @@ import math
 import re
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
+
+from pydantic.dataclasses import dataclass
 
 from pemirl_lab.results import Result, Score, normalised_return
+from pemirl_trl.configuration import CHECKED
 from pemirl_trl.evaluation.statistics import (
     Interval,
     iqm,
@@ -42,7 +45,7 @@ Rows = Mapping[str, str]
 """Rows of a table, in order, and what they are called in it."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, config=CHECKED)
 class Column:
     """What is measured, and what a paper says of it.
 

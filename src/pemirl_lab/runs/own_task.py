@@ -16,7 +16,7 @@ from pydantic.dataclasses import dataclass
 from yaml import YAMLError
 
 from pemirl_lab.runs.run_folder import RunFolder
-from pemirl_trl.configuration import CHECKED, Count, Index, typed
+from pemirl_trl.configuration import CHECKED, Count, SeedNumber, typed
 
 Values = TypeVar("Values")
 
@@ -34,7 +34,7 @@ class OwnTask:
 
     env: str
     run_dir: str
-    seed: Index = 0
+    seed: SeedNumber = 0
     logger: Literal["csv", "tensorboard"] | None = "csv"
     checkpoint_every: Count = 25
     settings: dict[str, Any] = field(default_factory=dict)

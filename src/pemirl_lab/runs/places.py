@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+
+class RunRefused(ValueError):  # noqa: N818 (it says what happened)
+    """A run that cannot begin or go on as it was asked for; the message says what to do."""
+
+
 PACKAGE = Path(__file__).resolve().parents[1]
 CHECKOUT = PACKAGE.parents[1]
 """The repository, where the package runs from one."""

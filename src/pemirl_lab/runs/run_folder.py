@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from pemirl_lab.results import environment_facts
 from pemirl_lab.runs.metrics import forget_from
+from pemirl_lab.runs.places import RunRefused
 from pemirl_lab.runs.settings import Settings
 from pemirl_trl.checkpoint import TrainingCheckpoint
 from pemirl_trl.files import atomic_path, file_digest
@@ -41,7 +42,7 @@ class RunFolder:
         checkpoint_every: iterations.
 
     Raises:
-        ValueError: the folder holds a run of another configuration, or another process is at work
+        RunRefused: the folder holds a run of another configuration, or another process is at work
             in it.
     """
 
@@ -85,7 +86,7 @@ class RunFolder:
                 k for k in resolved if k not in FREE and previous.get(k) != resolved[k]
             )
             if changed and self._begun():
-                raise ValueError(
+                raise RunRefused(
                     f"{self.path} holds a run with another {', '.join(changed)}: give another "
                     "run_dir, or delete that folder to start anew"
                 )
@@ -117,14 +118,14 @@ class RunFolder:
         """Note that this run reads a file, and return it.
 
         Raises:
-            ValueError: an earlier part of this run read another content under that role: what it
+            RunRefused: an earlier part of this run read another content under that role: what it
                 made of it would not belong to what is made now.
         """
         inputs = read_json(self.path / "inputs.json")
         digest = file_digest(file)
         before = inputs.get(role)
         if before is not None and before["sha256"] != digest:
-            raise ValueError(
+            raise RunRefused(
                 f"{file} is not the {role} that the run in {self.path} began with (its content has "
                 f"changed since; it was {before['file']}): give another run_dir, or delete that "
                 "folder to start anew"
@@ -207,7 +208,7 @@ def _lock(folder: Path) -> FileLock:
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        raise ValueError(
+        raise RunRefused(
             f"another process is at work in {folder}: wait for it, or give another run_dir"
         ) from None
     return lock
@@ -225,13 +226,13 @@ def read_json(file: Path) -> dict[str, Any]:
     """A JSON object; empty where there is no file.
 
     Raises:
-        ValueError: the file holds something else.
+        RunRefused: the file holds something else.
     """
     if not file.exists():
         return {}
     content = _parsed(file)
     if not isinstance(content, dict):
-        raise ValueError(f"{file} holds a {type(content).__name__}; expected a JSON object")
+        raise RunRefused(f"{file} holds a {type(content).__name__}; expected a JSON object")
     return content
 
 
@@ -239,7 +240,7 @@ def read_curve(run: Path, stage: str) -> list[list[float]]:
     """The learning curve of a stage; empty if the run has none.
 
     Raises:
-        ValueError: the file holds something else than pairs of numbers.
+        RunRefused: the file holds something else than pairs of numbers.
     """
     file = run / "curves" / f"{stage}.json"
     if not file.exists():
@@ -249,7 +250,7 @@ def read_curve(run: Path, stage: str) -> list[list[float]]:
         isinstance(p, list) and len(p) == 2 and all(isinstance(x, int | float) for x in p)
         for p in points
     ):
-        raise ValueError(f"{file} is damaged: expected a list of [steps, value]")
+        raise RunRefused(f"{file} is damaged: expected a list of [steps, value]")
     return points
 
 
@@ -257,11 +258,11 @@ def read_seconds(run: Path) -> dict[str, float]:
     """Wall-clock seconds of a run's stages.
 
     Raises:
-        ValueError: the file holds something else than numbers by stage.
+        RunRefused: the file holds something else than numbers by stage.
     """
     seconds = read_json(run / "seconds.json")
     if not all(isinstance(value, int | float) and value >= 0 for value in seconds.values()):
-        raise ValueError(f"{run / 'seconds.json'} is damaged: expected seconds by stage")
+        raise RunRefused(f"{run / 'seconds.json'} is damaged: expected seconds by stage")
     return seconds
 
 
@@ -276,14 +277,14 @@ def _parsed(file: Path) -> Any:
     try:
         return json.loads(file.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{file} is damaged: it is no JSON ({error})") from error
+        raise RunRefused(f"{file} is damaged: it is no JSON ({error})") from error
 
 
 def _read_yaml(file: Path) -> dict[str, Any]:
     try:
         content = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"{file} is damaged: it is no YAML ({error})") from error
+        raise RunRefused(f"{file} is damaged: it is no YAML ({error})") from error
     if not isinstance(content, dict):
-        raise ValueError(f"{file} is damaged: expected the configuration of a run")
+        raise RunRefused(f"{file} is damaged: expected the configuration of a run")
     return content

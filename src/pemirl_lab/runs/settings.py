@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 from tensordict import TensorDictBase
 
 import pemirl_envs
-from pemirl_trl.configuration import CHECKED, Count, Index, Positive, typed
+from pemirl_trl.configuration import CHECKED, Count, Index, Positive, SeedNumber, typed
 from pemirl_trl.methods import AdaptationConfig, MethodConfig, PolicyOptimizationConfig
 from pemirl_trl.methods.meta_training import TRAINING
 
@@ -24,7 +24,7 @@ class Evaluation:
     """Of policies: ``episodes`` per task, with environments of this ``seed``."""
 
     episodes: Count = 10
-    seed: Index = 1000
+    seed: SeedNumber = 1000
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -106,7 +106,7 @@ class Settings:
         resolved: all of it as it was composed, to be stored beside results.
     """
 
-    seed: Index
+    seed: SeedNumber
     threads: Count
     logger: Literal["csv", "tensorboard"] | None
     checkpoint_every: Count
@@ -215,8 +215,10 @@ def _check_experiment(resolved: Mapping[str, Any]) -> None:
 
 def _learning(resolved: Mapping[str, Any]) -> MethodConfig:
     values = {name: resolved[name] for name in _METHOD if name in resolved}
+    if missing := [name for name in ("algorithm", "training") if name not in values]:
+        raise ValueError(f"{', '.join(missing)} is missing: a method has it")
     algorithm = values["algorithm"]
-    if algorithm not in TRAINING:
+    if not isinstance(algorithm, str) or algorithm not in TRAINING:
         raise ValueError(f"algorithm={algorithm}: expected one of {', '.join(TRAINING)}")
     training = typed(TRAINING[algorithm], values["training"], at="training")
     return typed(MethodConfig, {**values, "training": training})

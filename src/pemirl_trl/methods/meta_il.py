@@ -35,6 +35,9 @@ class MetaILConfig:
     lr: NonNegative = 1e-3
     kl_coeff: NonNegative = 0.03
 
+    def __post_init__(self) -> None:
+        iteration_count(self.steps, self.steps_per_iteration)
+
 
 class MetaIL:
     """Maximise the evidence bound of the demonstrations in psi and omega.

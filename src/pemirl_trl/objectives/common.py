@@ -46,6 +46,7 @@ class KeyedLoss(LossModule):
 
     @in_keys.setter
     def in_keys(self, values: list[NestedKey]) -> None:
+        """Take other keys, as TorchRL's dispatch does."""
         self._in_keys = values
 
 

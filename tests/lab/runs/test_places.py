@@ -13,9 +13,9 @@ def repository(here, monkeypatch):
     """A wheel's package and a checkout, both empty, and another working directory."""
     monkeypatch.setattr(places, "PACKAGE", here / "package")
     monkeypatch.setattr(places, "CHECKOUT", here / "checkout")
-    for name in ("package/data", "checkout/data", "work/data"):
+    for name in ("package/data", "checkout/data", "user/data"):
         (here / name).mkdir(parents=True)
-    monkeypatch.chdir(here / "work")
+    monkeypatch.chdir(here / "user")
     return here
 
 
@@ -24,8 +24,8 @@ def test_data_is_the_users_then_the_packages_then_the_checkouts(repository):
     for folder in ("checkout", "package"):
         (repository / folder / name).touch()
         assert places.data_file(name) == repository / folder / name
-    (repository / "work" / name).touch()
-    assert places.data_file(name).absolute() == repository / "work" / name
+    (repository / "user" / name).touch()
+    assert places.data_file(name).absolute() == repository / "user" / name
 
 
 def test_a_file_that_is_nowhere_names_the_places(repository):
@@ -53,7 +53,7 @@ def test_runs_are_looked_for_from_here_alone(repository):
     """Another checkout's model would be taken silently, if the repository's folder counted too."""
     (repository / "checkout/data/model.safetensors").touch()
     assert places.data_file("data/model.safetensors").is_file()
-    expected = f"no file {repository}/work/data/model.safetensors: pemirl meta_train writes it"
+    expected = f"no file {repository}/user/data/model.safetensors: pemirl meta_train writes it"
     with pytest.raises(FileNotFoundError, match=re.escape(expected)):
         places.run_file("data/model.safetensors", "meta_train")
 

@@ -1,7 +1,6 @@
 """A folder is one run's, and one process's at a time; what is damaged in it is named."""
 
 import json
-import os
 import re
 import shutil
 import signal
@@ -15,11 +14,10 @@ import yaml
 
 from pemirl_lab.runs import run_folder
 from pemirl_lab.runs.run_folder import RunFolder, read_curve, read_run, read_seconds
-from pemirl_trl.methods import PEMIRL
 
 KILLED = """
 import os, signal, sys
-from pemirl_lab import runner
+from pemirl_lab import cli
 from pemirl_trl.methods import PEMIRL
 
 iteration, begun = PEMIRL.iteration, []
@@ -31,7 +29,7 @@ def killed(self):
     return iteration(self)
 
 PEMIRL.iteration = killed
-runner.run("meta_train", sys.argv[1:])
+cli.run("meta_train", sys.argv[1:])
 """
 HOLDING = """
 import sys
@@ -180,13 +178,16 @@ def test_what_a_run_was_is_told_without_where_it_stood(here):
 
 
 def test_a_killed_run_goes_on_as_if_it_had_not_been(command, here, process):
-    """Killed in iteration 6 with a checkpoint of 4: iteration 5 is trained and logged anew."""
+    """Killed in iteration 6 with a checkpoint of 4: iteration 5 is trained and logged anew.
+
+    Also with other values of what results do not depend on.
+    """
     killed = process(*TRAINING, cwd=here, code=KILLED)
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     assert steps(here / "run") == {(1, 2, 3, 4, 5)}
     assert not (here / "run/model.safetensors").exists()
     assert list(read_seconds(here / "run")) == ["meta-il", "pemirl"]  # up to the checkpoint
-    command("meta_train", TRAINING)
+    command("meta_train", [*TRAINING, "threads=2", "checkpoint_every=3"])
     command("meta_train", [*TRAINING, "run_dir=whole"])
     for name in ("model.safetensors", "meta_il.safetensors", "curves/pemirl.json"):
         assert (here / "run" / name).read_bytes() == (here / "whole" / name).read_bytes(), name
@@ -204,22 +205,3 @@ def steps(run):
     rows = [file.read_text(encoding="utf-8").splitlines() for file in metrics(run)]
     assert len(rows) > 5
     return {tuple(int(row.split(",")[0]) for row in of_file) for of_file in rows}
-
-
-def test_a_run_may_be_resumed_with_other_threads_and_another_logger(command, here, monkeypatch):
-    iteration, begun = PEMIRL.iteration, []
-
-    def stopped(self):
-        begun.append(1)
-        if len(begun) == 4:
-            os.kill(os.getpid(), signal.SIGINT)
-        return iteration(self)
-
-    monkeypatch.setattr(PEMIRL, "iteration", stopped)
-    with pytest.raises(SystemExit, match="stopped; run keeps what it has"):
-        command("meta_train", TRAINING)
-    command("meta_train", [*TRAINING, "threads=2", "logger=null", "checkpoint_every=3"])
-    command("meta_train", [*TRAINING, "run_dir=whole"])
-    weights = (here / "whole/model.safetensors").read_bytes()
-    assert (here / "run/model.safetensors").read_bytes() == weights
-    assert len(begun) == 4 + 4 + 6

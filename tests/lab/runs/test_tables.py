@@ -129,7 +129,7 @@ def test_a_table_may_be_a_file(write):
         ("[1]", "mine.yaml is no table: expected rows"),
         ("rows: {a: {labell: A}}", r"unknown key mine\.yaml\.rows\.a\.labell"),
         ("rows: {a: {label: A, seeds: 0}}", r"mine\.yaml\.rows\.a\.seeds=0: expected greater than"),
-        ("seeds: 3", r"mine\.yaml\.rows"),
+        ("seeds: 3", r"mine\.yaml\.rows is missing"),
     ],
 )
 def test_a_wrong_file_says_where(write, text, message):

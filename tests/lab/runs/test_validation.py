@@ -30,7 +30,11 @@ class Outer:
         ({"name": 1, "inner": {}}, "", "^name=1: expected a valid string$"),
         ({"name": "a", "inner": {"b": {"sizes": [1, 0]}}}, "", r"^inner\.b\.sizes\.1=0: expected"),
         ({"name": "a", "inner": {"b": {"sise": []}}}, "here", r"^unknown key here\.inner\.b\.sise"),
-        ({"name": "a", "innner": {}}, "f.yaml", r"f\.yaml\.inner=.*; unknown key f\.yaml\.innner"),
+        (
+            {"name": "a", "innner": {}},
+            "f.yaml",
+            r"^f\.yaml\.inner is missing; unknown key f\.yaml\.innner$",
+        ),
         ({"name": "taken", "inner": {}}, "", "^the name is taken$"),
         ({"name": "taken", "inner": {}}, "f.yaml", r"^f\.yaml: the name is taken$"),
     ],

@@ -1,14 +1,17 @@
 """Pages are what the results files give, and what is written by hand around them stays."""
 
-import importlib
 import json
-import pathlib
-import sys
 
 import pytest
-from pemirl_trl.evaluation.results import Result, Score
+from omegaconf import OmegaConf
 
-RECIPES = pathlib.Path(__file__).parents[2] / "recipes"
+from pemirl_lab.pages import report
+from pemirl_lab.results import Result, Score
+from pemirl_lab.runs.composition import plain
+from pemirl_lab.runs.tables import read_table, table_names
+
+from ..conftest import ROOT
+
 PAGE = """# By hand
 
 <!-- returns:begin -->
@@ -83,16 +86,10 @@ def write_result(root, mean, row="pemirl", table="maze"):
 
 
 @pytest.fixture
-def report(monkeypatch):
-    monkeypatch.syspath_prepend(str(RECIPES))
-    return importlib.import_module("report")
-
-
-@pytest.fixture
 def root(tmp_path):
     """A small repository: results, a specification, a page."""
-    for name, text in (("recipes/pages.yaml", PAGES), ("docs/page.md", PAGE)):
-        (tmp_path / name).parent.mkdir()
+    for name, text in (("docs/pages.yaml", PAGES), ("docs/page.md", PAGE)):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text, encoding="utf-8")
     write_result(tmp_path, -7.0)
     write_result(tmp_path, -9.0, row="context_1")
@@ -100,12 +97,8 @@ def root(tmp_path):
 
 
 @pytest.fixture
-def command(report, root, monkeypatch):
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["report.py", "--root", str(root), *arguments])
-        report.main()
-
-    return run
+def command(root):
+    return lambda *arguments: report.main(["--root", str(root), *arguments])
 
 
 def test_pages_are_written_between_their_markers(command, root, capsys):
@@ -170,9 +163,9 @@ def test_text_by_hand_is_not_checked(command, root):
         (
             "variant: left, paper",
             "dynamics: left, paper",
-            r"unknown keys \['dynamics'\] for Column",
+            "part 'returns': variant is missing; unknown key dynamics",
         ),
-        ("caption: True", "title: True", r"unknown keys \['title'\] for Item"),
+        ("caption: True", "title: True", "part 'returns': unknown key title"),
         ("variant: left}", "variant: left, colour: red}", "unexpected keyword argument 'colour'"),
         (
             "    returns:",
@@ -182,7 +175,7 @@ def test_text_by_hand_is_not_checked(command, root):
     ],
 )
 def test_a_wrong_specification_says_where(command, root, old, new, message):
-    file = root / "recipes/pages.yaml"
+    file = root / "docs/pages.yaml"
     assert old in file.read_text(encoding="utf-8")
     file.write_text(PAGES.replace(old, new), encoding="utf-8")
     with pytest.raises(ValueError, match=message):
@@ -190,7 +183,7 @@ def test_a_wrong_specification_says_where(command, root, old, new, message):
 
 
 def test_benchmarks_are_tables_of_their_files(command, root):
-    pages = root / "recipes/pages.yaml"
+    pages = root / "docs/pages.yaml"
     pages.write_text(f"{PAGES}\nbenchmarks: {{docs/page.md: [stepping]}}\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"page\.md has markers of .*; expected, .*'stepping'"):
         command("--write")
@@ -222,11 +215,27 @@ def test_results_of_another_table_are_refused(command, root):
         command()
 
 
-def test_every_row_of_the_recipes_is_on_a_page(report):
+def test_a_folder_without_pages_is_no_checkout(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        report.main(["--root", str(tmp_path), "--check"])
+    assert (
+        f"{tmp_path} is no checkout of the repository: it has no docs/" in capsys.readouterr().err
+    )
+
+
+def test_rows_are_called_as_their_tables_say():
+    labels = report.row_labels()
+    for table in map(read_table, table_names()):
+        for name, row in table.rows.items():
+            assert labels[name] == row.label, f"{table.name}: a label of {name} differs"
+
+
+def test_every_row_of_every_table_is_on_a_page():
     """A row that was run and shown nowhere would be a result that is hidden."""
-    values = report.plain(report.OmegaConf.load(RECIPES / "pages.yaml"))
+    values = plain(OmegaConf.load(ROOT / "docs/pages.yaml"))
     items = [item for parts in values["pages"].values() for part in parts.values() for item in part]
-    for table in values["tables"]:
+    assert set(table_names()) <= set(values["tables"])
+    for table in table_names():
         shown = {
             row
             for item in items
@@ -234,5 +243,4 @@ def test_every_row_of_the_recipes_is_on_a_page(report):
             for row in item["rows"]
         }
         if "*" not in shown:
-            conf = report.OmegaConf.load(RECIPES / f"conf/table/{table}.yaml")
-            assert set(conf.hydra.sweeper.params.row.split(",")) <= shown, table
+            assert set(read_table(table).rows) <= shown, table

@@ -1,0 +1,95 @@
+"""A run that is killed at any moment, again and again, ends as one that was left alone.
+
+The moments are drawn from a seed, in real time: where a kill falls differs from machine to machine,
+and what the run ends with must not.
+"""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from safetensors.torch import load_file
+
+CODE = "from pemirl_lab.cli import main; main()"
+ALONE = os.environ | {"MUJOCO_GL": "disable", "CUDA_VISIBLE_DEVICES": "", "PYTHONHASHSEED": "0"}
+SMALL = (
+    "preset=smoke", "threads=1", "seed=3", "training.iterations=12",
+    "adaptation.optimization.iterations=8", "checkpoint_every=2", "meta_il.steps=60",
+)  # fmt: skip
+COMMANDS = {
+    "quickstart": ("run_dir=run",),
+    "meta_train": ("method=pemirl_bounded", "run_dir=run"),
+    "train_expert": (
+        "output=expert.safetensors", "run_dir=run", "expert_training.optimization.iterations=8",
+        "expert_training.tasks_per_batch=4", "expert_training.rollouts_per_task=2",
+    ),
+}  # fmt: skip
+KILLS = 12  # of each command
+
+
+def begin(command, cwd):
+    words = [sys.executable, "-c", CODE, command, *SMALL, *COMMANDS[command]]
+    with (cwd.parent / f"{cwd.name}.log").open("ab") as log:
+        return subprocess.Popen(words, cwd=cwd, env=ALONE, stdout=log, stderr=log)
+
+
+def ended_well(process, cwd):
+    assert process.wait() == 0, (cwd.parent / f"{cwd.name}.log").read_text()[-2000:]
+
+
+def weights(folder: Path):
+    """Every weight and curve that a command left, by file."""
+    tensors = {
+        str(file.relative_to(folder)): {k: v.numpy().tobytes() for k, v in load_file(file).items()}
+        for file in sorted(folder.rglob("*.safetensors"))
+        if "checkpoints" not in file.parts
+    }
+    curves = {file.name: file.read_bytes() for file in sorted(folder.rglob("curves/*.json"))}
+    rows = {
+        str(file.relative_to(folder)): [
+            line.split(",")[0] for line in file.read_text().splitlines()
+        ]
+        for file in sorted(folder.rglob("scalars/**/*.csv"))
+    }
+    return tensors, curves, rows
+
+
+def killed_often(command, folder, whole, draw):
+    """Begin a run again and again, killing it, until one comes to its end: how many kills."""
+    folder.mkdir()
+    kills = 0
+    while True:
+        process = begin(command, folder)
+        try:
+            process.wait(timeout=draw.uniform(0.4, 0.95) * whole)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            kills += 1
+        else:
+            ended_well(process, folder)
+            return kills
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_kill_changes_a_result(command, tmp_path):
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    ended_well(begin(command, alone), alone)
+    start = time.perf_counter()
+    ended_well(begin(command, alone), alone)  # it has nothing left to do: what starting takes
+    starting = time.perf_counter() - start
+    draw, kills, runs = random.Random(command), 0, 0
+    whole = 2 * starting
+    while kills < KILLS:
+        folder = tmp_path / f"killed{runs}"
+        kills += killed_often(command, folder, whole, draw)
+        runs += 1
+        assert weights(folder) == weights(alone)
+    print(f"{command}: {kills} kills survived, {runs} runs as the one that was left alone")
