@@ -148,3 +148,13 @@ def test_infer_takes_one_demonstration(pemirl, mine, words, message):
 def test_infer_says_what_it_takes(pemirl, capsys):
     pemirl("infer", "--help")
     assert "model_file=" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("fault", ["TypeError", "ValueError"])
+def test_an_error_in_the_users_function_keeps_its_traceback(pemirl, mine, fault):
+    (mine / "faulty.py").write_text(f"def make(num_envs, seed):\n    raise {fault}('mine')\n")
+    with pytest.raises((TypeError, ValueError), match=r"^mine$"):
+        pemirl("meta_train", *TRAIN, *FEW, "env=faulty:make")
+    (mine / "wrong.py").write_text("def make(num_envs, seed):\n    return None\n")
+    with pytest.raises(SystemExit, match="returned a NoneType; expected a TorchRL environment"):
+        pemirl("meta_train", *TRAIN, *FEW, "env=wrong:make", "run_dir=R2")
