@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from pemirl_trl.files import read_weights, save_weights, write_tensors
-from pemirl_trl.modules import ModelConfig, PEMIRLModel
+from pemirl_trl.modules import ModelConfig, PEMIRLModel, TrainingFamily
 from pemirl_trl.pretrained import load_model, save_model
 
 GOLDEN = Path(__file__).parent / "golden" / "file_version_1"
@@ -113,3 +113,47 @@ def test_weights_of_something_else_are_refused(tmp_path):
     save_weights(tmp_path / "w", {"net": torch.nn.Linear(1, 1)}, {"task": "toy"})
     with pytest.raises(ValueError, match=r"/w holds weights \['task'\], expected those of a model"):
         load_model(tmp_path / "w")
+
+
+def with_family(path, change=lambda stated: stated):
+    """A file of a model with a training family; what is stated of it is changed."""
+    model = small()
+    contexts, observations = torch.randn(6, 2), torch.randn(6, 5, 3)
+    model.family = TrainingFamily.fit(contexts, observations, model.standardize.scale)
+    save_model(path, model)
+    tensors, metadata = read_weights(path)
+    stated = change(json.loads(metadata["training_family"]))
+    facts = {**metadata, "training_family": json.dumps(stated)}
+    write_tensors(path, tensors, kind="weights", header={"metadata": facts})
+    return model
+
+
+def test_the_training_family_is_kept_to_the_bit(tmp_path):
+    model = with_family(tmp_path / "model")
+    family = load_model(tmp_path / "model").family
+    for name, value in vars(model.family).items():
+        there = getattr(family, name)
+        assert torch.equal(there, value) if isinstance(value, torch.Tensor) else there == value
+
+
+def test_an_older_file_says_nothing_of_its_family():
+    assert load_model(GOLDEN / "model.safetensors").family is None
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda s: {**s, "low": [1.0, 2.0]}, "expected low of finite numbers"),
+        (lambda s: {**s, "high": ["a"] * 3}, "high holds no numbers"),
+        (lambda s: {**s, "context_mean": [float("nan")] * 2}, "expected context_mean of finite"),
+        (lambda s: {**s, "context_covariance": [[1.0], [2.0, 3.0]]}, "holds no numbers"),
+        (lambda s: {k: v for k, v in s.items() if k != "deviation"}, "lacks the fields"),
+        (lambda s: {**s, "context_distance": "far"}, "'context_distance' is"),
+        (lambda s: [], "is a list"),
+    ],
+)
+def test_a_damaged_training_family_is_refused_by_name(tmp_path, change, message):
+    with_family(tmp_path / "model", change)
+    with pytest.raises(ValueError, match=message) as raised:
+        load_model(tmp_path / "model")
+    assert str(tmp_path / "model") in str(raised.value)

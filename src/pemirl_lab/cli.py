@@ -26,6 +26,7 @@ COMMANDS: Mapping[str, str] = {
 """What there is, in the order of a first visit."""
 
 OTHERS: Mapping[str, tuple[str, str]] = {
+    "infer": ("pemirl_lab.measuring.infer", "m and r of one demonstration, and how far off it is"),
     "check": ("pemirl_lab.measuring.check", "what is suspicious about a file of demonstrations"),
     "report": ("pemirl_lab.pages.report", "the generated parts of the pages, from results files"),
 }
@@ -41,6 +42,7 @@ pemirl COMMAND --cfg job    what it would run, without running it
 Start with:                 pemirl quickstart preset=smoke     (seconds: does it run here?)
                             pemirl quickstart                  (minutes: Point-Maze, whole)
 Another domain:             pemirl quickstart experiment=ant   (or sweeper, sawyer_pusher)
+Your own environment:       pemirl meta_train demonstrations=FILE env=my_module:make_env run_dir=R
 Completion, also of values: eval "$(pemirl -sc install=bash)"
 """
 

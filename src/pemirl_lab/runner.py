@@ -21,10 +21,13 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from pemirl_lab.runs.composition import CONF, override_key, plain, register_library
+from pemirl_lab.runs.own_task import is_own, parse_words
 from pemirl_lab.runs.places import RunRefused
 from pemirl_lab.runs.settings import parse
 from pemirl_lab.runs.tables import Table, read_table
 
+OWN_TASK = ("meta_train", "adapt_reward")
+"""What also runs on an environment of the user's own, with ``env=my_module:make_env``."""
 JOBS = 2
 """Rows of a table side by side, where nothing else is said: each holds its rollouts in memory."""
 
@@ -35,6 +38,9 @@ def run(command: str, arguments: Sequence[str], what: str) -> None:
     Raises:
         SystemExit: a wrong value, or an interruption; its message says what to do.
     """
+    if command in OWN_TASK and is_own(arguments):
+        run_own(command, arguments)
+        return
     # Hydra drops a chosen group with ~; null is what one tries first.
     given = ["~experiment" if text == "experiment=null" else text for text in arguments]
     if command == "reproduce":
@@ -69,14 +75,45 @@ def execute(module: ModuleType, command: str, config: DictConfig) -> None:
         settings, own = parse(resolved, module.Own)
     except ValueError as error:
         sys.exit(f"pemirl {command}: {error}")
+    _resumable([command, *sys.argv[1:]], settings.run_dir, lambda: module.run(settings, own))
+
+
+def run_own(command: str, given: Sequence[str]) -> None:
+    """Run a command on an environment of the user's own.
+
+    Raises:
+        SystemExit: a wrong value, environment or file, or an interruption; says what to do.
+    """
+    module = importlib.import_module(f"pemirl_lab.commands.{command}")
+    torch.set_num_threads(1)  # as in execute
+    try:
+        task = parse_words(given, module.OwnEnvironment, rest=True)
+        _resumable([command, *given], task.run_dir, lambda: module.run_own(task))
+    except (ValueError, TypeError) as error:
+        if not _is_ours(error):
+            raise
+        sys.exit(f"pemirl {command}: {error}")
+
+
+def _is_ours(error: Exception) -> bool:
+    """Whether this project raised it; an error in the user's module needs its traceback."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    name = "" if trace is None else str(trace.tb_frame.f_globals.get("__name__"))
+    return name.startswith("pemirl_")
+
+
+def _resumable(words: Sequence[str], run_dir: str, work: Callable[[], object]) -> None:
+    """Do the work; where it is interrupted, say how to go on."""
     signal.signal(signal.SIGTERM, _interrupt)
     try:
-        module.run(settings, own)
+        work()
     except (RunRefused, FileNotFoundError) as error:
-        sys.exit(f"pemirl {command}: {error}")
+        sys.exit(f"pemirl {words[0]}: {error}")
     except KeyboardInterrupt:
-        again = shlex.join(["pemirl", command, *sys.argv[1:]])
-        sys.exit(f"\nstopped; {settings.run_dir} keeps what it has. To go on from there: {again}")
+        again = shlex.join(["pemirl", *words])
+        sys.exit(f"\nstopped; {run_dir} keeps what it has. To go on from there: {again}")
 
 
 def _interrupt(signum: int, frame: Any) -> NoReturn:

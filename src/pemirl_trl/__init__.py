@@ -29,11 +29,20 @@ loss_*                   []                       every loss; its other outputs 
 """
 
 from pemirl_trl.data import DemonstrationDataset, Negatives, Provenance
+from pemirl_trl.methods import (
+    Adaptation,
+    Inference,
+    adapt,
+    infer,
+    meta_train,
+    wrap_gymnasium,
+)
 from pemirl_trl.modules import (
     AIRLDiscriminator,
     ContextEncoder,
     ContextPolicy,
     ContextValue,
+    FamilyDistance,
     GAILDiscriminator,
     MaskedContextEncoder,
     ModelConfig,
@@ -41,6 +50,7 @@ from pemirl_trl.modules import (
     PEMIRLModel,
     ShapedReward,
     Standardize,
+    TrainingFamily,
 )
 from pemirl_trl.objectives import (
     DiscriminatorLoss,
@@ -51,20 +61,24 @@ from pemirl_trl.objectives import (
     ValueLoss,
 )
 from pemirl_trl.optim import TrustRegionOptimizer, TrustRegionResult
+from pemirl_trl.pretrained import load_model, save_model
 from pemirl_trl.transforms import InferContext, LearnedReward, SampleTasks
 
 __version__ = "0.1.0"
 
 __all__ = [
     "AIRLDiscriminator",
+    "Adaptation",
     "ContextEncoder",
     "ContextPolicy",
     "ContextValue",
     "DemonstrationDataset",
     "DiscriminatorLoss",
+    "FamilyDistance",
     "FiniteHorizonAdvantage",
     "GAILDiscriminator",
     "InferContext",
+    "Inference",
     "InfoLoss",
     "LearnedReward",
     "MaskedContextEncoder",
@@ -78,7 +92,14 @@ __all__ = [
     "ShapedReward",
     "Standardize",
     "TRPOLoss",
+    "TrainingFamily",
     "TrustRegionOptimizer",
     "TrustRegionResult",
     "ValueLoss",
+    "adapt",
+    "infer",
+    "load_model",
+    "meta_train",
+    "save_model",
+    "wrap_gymnasium",
 ]

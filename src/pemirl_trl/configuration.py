@@ -14,9 +14,12 @@ max_kl
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any, TypeVar
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+
+Config = TypeVar("Config")
 
 CHECKED = ConfigDict(extra="forbid", allow_inf_nan=False)
 """Of every configuration: no unknown names, and numbers that are finite."""
@@ -33,3 +36,36 @@ Share = Annotated[float, Field(ge=0, le=1, strict=True)]
 """A number from 0 to 1."""
 Decay = Annotated[float, Field(gt=0, lt=1, strict=True)]
 """A number between 0 and 1, neither of them included."""
+
+
+def typed(cls: type[Config], values: Mapping[str, Any], *, at: str = "") -> Config:
+    """Build a (nested) configuration, checking types, ranges, choices and names.
+
+    Args:
+        cls: a dataclass.
+        values: its fields, nested ones as mappings.
+        at: where they stand in what the user wrote, such as ``"training"``.
+
+    Raises:
+        ValueError: every wrong value, by its whole name, with what is expected.
+    """
+    if not isinstance(values, Mapping):
+        raise ValueError(f"{at or 'run'}={values}: expected values by name, not one value")
+    try:
+        return TypeAdapter(cls).validate_python(dict(values))
+    except ValidationError as error:
+        lines = [_explained(problem, at) for problem in error.errors()]
+        raise ValueError("; ".join(lines)) from None
+
+
+def _explained(problem: Mapping[str, Any], at: str) -> str:
+    name = ".".join(str(part) for part in (*filter(None, [at]), *problem["loc"]))
+    message = problem["msg"].removeprefix("Value error, ")
+    if problem["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+        return f"unknown key {name}"
+    if problem["type"] == "missing":
+        return f"{name} is missing"
+    message = message.replace("Input should be", "expected")
+    if problem["loc"]:
+        return f"{name}={problem['input']}: {message}"
+    return f"{at}: {message}" if at else message

@@ -19,7 +19,7 @@ from pemirl_trl.files import (
     read_weights,
     save_weights,
 )
-from pemirl_trl.modules import ModelConfig, PEMIRLModel, Standardize
+from pemirl_trl.modules import ModelConfig, PEMIRLModel, Standardize, TrainingFamily
 
 _SIZES = {"observation_dim": int, "action_dim": int, "horizon": int, "config": dict}
 _CONFIG: dict[str, type | tuple[type, ...]] = {
@@ -50,6 +50,8 @@ def save_model(
         "config": asdict(model.config),
     }
     facts = {**(metadata or {}), "pemirl_model": json.dumps(sizes)}
+    if model.family is not None:
+        facts["training_family"] = json.dumps(_stated(model.family))
     save_weights(path, {"model": model}, facts)
 
 
@@ -72,7 +74,36 @@ def load_model(path: str | Path) -> PEMIRLModel:
     _compare(sizes, tensors, path)
     model = _build(sizes)
     load_weights(path, {"model": model})
+    if "training_family" in metadata:  # an older file does not say
+        model.family = _family(metadata["training_family"], model, path)
     return model
+
+
+def _stated(family: TrainingFamily) -> dict[str, Any]:
+    return {
+        name: value.tolist() if isinstance(value, Tensor) else value
+        for name, value in vars(family).items()
+    }
+
+
+def _family(text: str, model: PEMIRLModel, path: str | Path) -> TrainingFamily:
+    """Statistics of the training demonstrations, of the model's sizes."""
+    what = f"the training family in {path}"
+    numbers = {"context_distance": (int, float)}
+    kinds = {f.name: numbers.get(f.name, list) for f in fields(TrainingFamily)}
+    stated = check_fields(parse_json(text, what), kinds, what)
+    d, s = model.config.context_dim, model.observation_dim
+    shapes: dict[str, tuple[int, ...]] = {"context_mean": (d,), "context_covariance": (d, d)}
+    tensors: dict[str, Tensor] = {}
+    for name in kinds.keys() - numbers.keys():
+        shape = shapes.get(name, (s,))
+        try:
+            tensors[name] = torch.tensor(stated[name], dtype=torch.get_default_dtype())
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise ValueError(f"{what} is damaged: {name} holds no numbers ({error})") from error
+        if tensors[name].shape != shape or not torch.isfinite(tensors[name]).all():
+            raise ValueError(f"{what} is damaged: expected {name} of finite numbers {list(shape)}")
+    return TrainingFamily(context_distance=float(stated["context_distance"]), **tensors)
 
 
 def _build(sizes: Mapping[str, Any], standardize: Standardize | None = None) -> PEMIRLModel:

@@ -14,7 +14,8 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase, TransformedEnv
 
 import pemirl_envs
-from pemirl_trl import InferContext, ModelConfig, PEMIRLModel, Standardize
+from pemirl_trl import DemonstrationDataset, InferContext, ModelConfig, PEMIRLModel, Standardize
+from pemirl_trl import meta_train as meta_train_in_one_call
 from pemirl_trl.methods import (
     AIRL,
     PEMIRL,
@@ -232,6 +233,58 @@ def make_reach() -> Callable[..., Problem]:
 def reach() -> Problem:
     """The toy with 12 demonstrations."""
     return reach_problem(torch.linspace(-1.0, 1.0, 12).unsqueeze(-1))
+
+
+def reach_dataset(goals: Tensor) -> DemonstrationDataset:
+    """Demonstrations of these goals ``[J, 1]``, as a user has them: without tasks."""
+    pile = reach_problem(goals).demonstrations
+    observation = torch.cat([pile["observation"], pile["next", "observation"][:, -1:]], 1)
+    return DemonstrationDataset(observation, pile["action"])
+
+
+class ReversedReach(Reach):
+    """Steering is reversed."""
+
+    step_size = -0.25
+
+
+@pytest.fixture(scope="session")
+def dataset() -> Callable[[Tensor], DemonstrationDataset]:
+    return reach_dataset
+
+
+@pytest.fixture(scope="session")
+def make_env() -> Callable[[int, int], EnvBase]:
+    """What a user writes: the environment of the demonstrations."""
+    return lambda num_envs, seed: Reach(num_envs)
+
+
+@pytest.fixture(scope="session")
+def make_reversed() -> Callable[[int, int], EnvBase]:
+    """The same where steering is reversed."""
+    return lambda num_envs, seed: ReversedReach(num_envs)
+
+
+FEW: dict[str, Any] = {
+    "model": {"context_dim": 2},
+    "meta_il": {"steps": 600},
+    "contexts_per_batch": 20,
+    "training": {"iterations": 40, "rollouts_per_context": 4},
+}
+"""Settings of a meta-training of seconds."""
+
+
+@pytest.fixture(scope="session")
+def few() -> dict[str, Any]:
+    return FEW
+
+
+@pytest.fixture(scope="session")
+def trained(make_env) -> PEMIRLModel:
+    """A model meta-trained on 60 goals in [-1, 1]; leave it as it is."""
+    with torch.random.fork_rng(devices=[]):
+        goals = torch.linspace(-1.0, 1.0, 60).unsqueeze(-1)
+        return meta_train_in_one_call(make_env, reach_dataset(goals), **FEW)
 
 
 @pytest.fixture(scope="session")

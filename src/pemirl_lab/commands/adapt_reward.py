@@ -4,6 +4,11 @@
     pemirl adapt_reward experiment=ant       # of the run of pemirl meta_train experiment=ant
     pemirl adapt_reward method=airl          # of the run of pemirl meta_train method=airl
     pemirl adapt_reward test_demonstrations=my_demonstration.safetensors
+    pemirl adapt_reward model_file=R/model.safetensors test_demonstrations=ONE env=my:make_env
+
+With ``env=`` it is an environment of your own, and the settings follow from the demonstrations; see
+``pemirl meta_train``. The start is chosen by short tries unless ``initial_policy=`` says it, and
+``adaptation.json`` tells what came out.
 
 Writes ``policy.safetensors`` and the learning curve to ``run_dir``. Rewards are the learned ones;
 true returns, where the demonstrations come with their tasks, are metrics.
@@ -12,6 +17,7 @@ true returns, where the demonstrations come with their tasks, are metrics.
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import field
 from pathlib import Path
 
 import torch
@@ -22,13 +28,22 @@ from tensordict.nn import TensorDictModuleBase
 from pemirl_lab.commands.meta_train import check_sizes
 from pemirl_lab.measuring.rollouts import environment, of_demonstrations, true_reward_module
 from pemirl_lab.measuring.scores import load_test_demonstrations
+from pemirl_lab.runs.own_task import OwnTask, load_make_env
 from pemirl_lab.runs.places import data_file, run_file
 from pemirl_lab.runs.run_folder import RunFolder, say
 from pemirl_lab.runs.settings import Settings
-from pemirl_trl import ContextPolicy, PEMIRLModel
+from pemirl_trl import Adaptation, ContextPolicy, DemonstrationDataset, PEMIRLModel
 from pemirl_trl.configuration import CHECKED
 from pemirl_trl.files import load_weights, read_metadata, save_weights
-from pemirl_trl.methods import PolicyOptimization, PolicyOptimizationConfig, initial_policy
+from pemirl_trl.methods import (
+    PolicyOptimization,
+    PolicyOptimizationConfig,
+    adapt_in_stages,
+    adaptation_config,
+    initial_policy,
+)
+from pemirl_trl.methods.defaults import found_for_adaptation, table
+from pemirl_trl.methods.loop import Method
 from pemirl_trl.pretrained import load_model
 
 
@@ -44,6 +59,44 @@ def run(settings: Settings, own: Own) -> ContextPolicy:
     folder = RunFolder.of(settings)
     model = load_model(folder.reads("model", run_file(own.model_file, "meta_train")))
     return adapt(settings, folder, model)[0]
+
+
+@dataclass(frozen=True, config=CHECKED)
+class OwnEnvironment(OwnTask):
+    """The values of this command with an environment of the user's own."""
+
+    model_file: str = field(kw_only=True)
+    test_demonstrations: str = field(kw_only=True)
+
+
+def run_own(task: OwnEnvironment) -> Adaptation:
+    """Adapt in an environment of the user's own; there is no ground truth to show."""
+    make_env = load_make_env(task.env)
+    model_path = run_file(task.model_file, "meta_train")
+    model, data_path = load_model(model_path), data_file(task.test_demonstrations)
+    data = DemonstrationDataset.load(data_path)
+    config = adaptation_config(model, data, task.settings)
+    folder = task.folder()
+    folder.reads("model", model_path)
+    folder.reads("test demonstrations", data_path)
+    found = table(found_for_adaptation(model, data, task.settings), config)
+    say(found)
+
+    def stage(name: str, method: Method, /) -> None:
+        folder.train(name, method, show="return/learned")
+
+    choose = "initial_policy" not in task.settings
+    result = adapt_in_stages(
+        *(model, data, make_env, config, stage), seed=task.seed, choose_start=choose, settings=found
+    )
+    file = folder.file("policy.safetensors")
+    facts = {"environment": task.env, "env_steps": str(result.env_steps)}
+    save_weights(file, {"policy": result.policy}, {**facts, "activation": result.activation})
+    told = ("kept", "start", "tries", "learned_return", "carried_over_return", "env_steps")
+    record = {name: getattr(result, name) for name in (*told, "warnings")}
+    folder.write_json("adaptation.json", record)
+    say(f"{result}\n-> {file}")
+    return result
 
 
 def adapt(

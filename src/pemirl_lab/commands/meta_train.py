@@ -4,6 +4,11 @@
     pemirl meta_train experiment=ant
     pemirl meta_train method=airl seed=1
     pemirl meta_train training.info_coeff=0 model.context_dim=5 run_dir=runs/no_info
+    pemirl meta_train demonstrations=FILE env=my_module:make_env run_dir=runs/mine
+
+With ``env=`` it is an environment of your own: the settings follow from the demonstrations, any of
+them can be given (``training.iterations=100``), and ``preset=`` is one of the library's (robust,
+contrastive with ``task_space=[0,1]``, paper, bounded).
 
 Writes ``model.safetensors`` and, where the method has contexts, ``meta_il.safetensors`` (Meta-IL:
 a baseline, and what initialises the encoder) to ``run_dir``.
@@ -11,17 +16,21 @@ a baseline, and what initialises the encoder) to ``run_dir``.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import field
+
 import torch
 from pydantic.dataclasses import dataclass
 
 import pemirl_envs
 from pemirl_lab.measuring.rollouts import environment
 from pemirl_lab.public_code import PublicCodeInfoLoss
+from pemirl_lab.runs.own_task import OwnTask, load_make_env
 from pemirl_lab.runs.places import RunRefused, data_file
 from pemirl_lab.runs.run_folder import RunFolder, say
 from pemirl_lab.runs.settings import Settings
 from pemirl_trl import DemonstrationDataset, InferContext, PEMIRLModel
-from pemirl_trl.configuration import CHECKED
+from pemirl_trl.configuration import CHECKED, Index
 from pemirl_trl.data import examine
 from pemirl_trl.methods import (
     MetaIL,
@@ -29,11 +38,17 @@ from pemirl_trl.methods import (
     MethodConfig,
     PEMIRLConfig,
     build,
+    meta_train_in_stages,
+    meta_training_config,
     new_model,
     start_from,
+    training_family,
 )
+from pemirl_trl.methods.defaults import found_for_meta_training, table
 from pemirl_trl.methods.loop import Method
 from pemirl_trl.pretrained import save_model
+
+LEARNED = "return/learned"
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -44,6 +59,38 @@ class Own:
 def run(settings: Settings, own: Own) -> PEMIRLModel:
     """Meta-train in the folder that the settings name."""
     return meta_train(settings, RunFolder.of(settings))
+
+
+@dataclass(frozen=True, config=CHECKED)
+class OwnEnvironment(OwnTask):
+    """The values of this command with an environment of the user's own."""
+
+    demonstrations: str = field(kw_only=True)
+    preset: str = "robust"
+    task_space: Sequence[Index] | None = None
+
+
+def run_own(task: OwnEnvironment) -> PEMIRLModel:
+    """Meta-train on an environment of the user's own; there is no ground truth to show."""
+    make_env = load_make_env(task.env)
+    data = DemonstrationDataset.load(data_file(task.demonstrations))
+    config = meta_training_config(data, task.preset, task.settings)
+    folder = task.folder()
+    load_demonstrations(task.demonstrations, folder)
+    say(table(found_for_meta_training(data, task.preset, task.settings), config))
+
+    def stage(name: str, method: Method, /) -> None:
+        folder.train(name, method, show="meta_il/loss_imitation" if name == "meta-il" else LEARNED)
+
+    model = meta_train_in_stages(
+        make_env, data, config, stage, seed=task.seed, task_space=task.task_space
+    )
+    steps = config.contexts_per_batch * config.training.rollouts_per_context * data.horizon
+    facts = {"method": task.preset, "env_steps": str(steps * config.training.iterations)}
+    file = folder.file("model.safetensors")
+    save_model(file, model, facts)
+    say(f"meta-trained on {steps * config.training.iterations:,} environment steps -> {file}")
+    return model
 
 
 def load_demonstrations(file: str, folder: RunFolder) -> DemonstrationDataset:
@@ -70,6 +117,8 @@ def meta_train(
     start_from(model, meta_il, learning)
     method = build_method(settings, model, demonstrations)
     folder.train(settings.method, method, show="return/true")
+    if learning.model.context_dim > 0:
+        model.family = training_family(model, demonstrations)
     facts = {"method": settings.method, "env_steps": str(method.env_steps)}
     file = folder.file("model.safetensors")
     save_model(file, model, facts)

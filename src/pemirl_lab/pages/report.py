@@ -45,8 +45,7 @@ from pemirl_lab.results import Result, read_all
 from pemirl_lab.runs.composition import plain
 from pemirl_lab.runs.places import CHECKOUT
 from pemirl_lab.runs.tables import read_table, table_names
-from pemirl_lab.runs.validation import typed
-from pemirl_trl.configuration import CHECKED
+from pemirl_trl.configuration import CHECKED, typed
 from pemirl_trl.files import atomic_path
 
 Rows = Mapping[str, str]

@@ -12,8 +12,7 @@ from pydantic.dataclasses import dataclass
 from tensordict import TensorDictBase
 
 import pemirl_envs
-from pemirl_lab.runs.validation import typed
-from pemirl_trl.configuration import CHECKED, Count, Index, Positive, SeedNumber
+from pemirl_trl.configuration import CHECKED, Count, Index, Positive, SeedNumber, typed
 from pemirl_trl.methods import AdaptationConfig, MethodConfig, PolicyOptimizationConfig
 from pemirl_trl.methods.meta_training import TRAINING
 

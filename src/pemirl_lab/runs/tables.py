@@ -12,8 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from pemirl_lab.runs.composition import compose, override_key, plain
 from pemirl_lab.runs.places import PACKAGE
-from pemirl_lab.runs.validation import typed
-from pemirl_trl.configuration import CHECKED, Count
+from pemirl_trl.configuration import CHECKED, Count, typed
 
 TABLES = PACKAGE / "tables"
 

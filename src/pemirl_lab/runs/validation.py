@@ -1,46 +1,9 @@
-"""From resolved values to typed configurations; a wrong one is named as the user wrote it."""
+"""What changed between two resolved configurations."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, TypeVar
-
-from pydantic import TypeAdapter, ValidationError
-
-Config = TypeVar("Config")
-
-
-def typed(cls: type[Config], values: Mapping[str, Any], *, at: str = "") -> Config:
-    """Build a (nested) configuration, checking types, ranges, choices and names.
-
-    Args:
-        cls: a dataclass.
-        values: its fields, as YAML has them.
-        at: where they stand in what the user wrote, such as ``"training"``.
-
-    Raises:
-        ValueError: every wrong value, by its whole name, with what is expected.
-    """
-    if not isinstance(values, Mapping):
-        raise ValueError(f"{at or 'run'}={values}: expected values by name, not one value")
-    try:
-        return TypeAdapter(cls).validate_python(dict(values))
-    except ValidationError as error:
-        lines = [_explained(problem, at) for problem in error.errors()]
-        raise ValueError("; ".join(lines)) from None
-
-
-def _explained(problem: Mapping[str, Any], at: str) -> str:
-    name = ".".join(str(part) for part in (*filter(None, [at]), *problem["loc"]))
-    message = problem["msg"].removeprefix("Value error, ")
-    if problem["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
-        return f"unknown key {name}"
-    if problem["type"] == "missing":
-        return f"{name} is missing"
-    message = message.replace("Input should be", "expected")
-    if problem["loc"]:
-        return f"{name}={problem['input']}: {message}"
-    return f"{at}: {message}" if at else message
+from typing import Any
 
 
 def changed_settings(

@@ -6,11 +6,16 @@ from pemirl_trl.methods.airl import AIRL, AIRLConfig
 from pemirl_trl.methods.averaging import AveragedReward
 from pemirl_trl.methods.best_trajectories import BestTrajectories
 from pemirl_trl.methods.collection import EpisodeCollector
+from pemirl_trl.methods.defaults import PRESETS, adaptation_config, meta_training_config
 from pemirl_trl.methods.discriminator_batches import BatchConfig, DiscriminatorBatches
+from pemirl_trl.methods.environments import MakeEnv, wrap_gymnasium
+from pemirl_trl.methods.inference import Inference, infer
 from pemirl_trl.methods.loop import TrainingDiverged, train
 from pemirl_trl.methods.meta_il import MetaIL, MetaILConfig
 from pemirl_trl.methods.meta_infogail import MetaInfoGAIL, MetaInfoGAILConfig
 from pemirl_trl.methods.meta_training import METHODS, MethodConfig, build, new_model, start_from
+from pemirl_trl.methods.own_adaptation import Adaptation, adapt, adapt_in_stages
+from pemirl_trl.methods.own_training import meta_train, meta_train_in_stages, training_family
 from pemirl_trl.methods.pemirl import PEMIRL, PEMIRLConfig
 from pemirl_trl.methods.policy_optimization import PolicyOptimization, PolicyOptimizationConfig
 from pemirl_trl.methods.trpo import TRPO, TRPOConfig
@@ -19,8 +24,10 @@ __all__ = [
     "AIRL",
     "METHODS",
     "PEMIRL",
+    "PRESETS",
     "TRPO",
     "AIRLConfig",
+    "Adaptation",
     "AdaptationConfig",
     "AdaptiveSampler",
     "AdversarialConfig",
@@ -29,6 +36,8 @@ __all__ = [
     "BestTrajectories",
     "DiscriminatorBatches",
     "EpisodeCollector",
+    "Inference",
+    "MakeEnv",
     "MetaIL",
     "MetaILConfig",
     "MetaInfoGAIL",
@@ -40,9 +49,18 @@ __all__ = [
     "PolicyOptimizationConfig",
     "TRPOConfig",
     "TrainingDiverged",
+    "adapt",
+    "adapt_in_stages",
+    "adaptation_config",
     "build",
+    "infer",
     "initial_policy",
+    "meta_train",
+    "meta_train_in_stages",
+    "meta_training_config",
     "new_model",
     "start_from",
     "train",
+    "training_family",
+    "wrap_gymnasium",
 ]

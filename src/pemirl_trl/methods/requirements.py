@@ -1,10 +1,11 @@
-"""What a method asks of an environment, checked before the first step."""
+"""What a method asks of an environment, checked before anything is trained."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 import torch
+from tensordict import TensorDictBase
 from torchrl.data import Composite, TensorSpec
 from torchrl.data.tensor_specs import ContinuousBox
 from torchrl.envs import EnvBase
@@ -26,6 +27,38 @@ def check_environment(env: EnvBase, policy: ContextPolicy, horizon: int) -> None
     problems = [*_batch(env), *_action(env, policy), *_inputs(env, policy), *_length(env, horizon)]
     if problems:
         raise ValueError("this environment cannot be trained on: " + "; ".join(problems))
+
+
+def check_episodes(rollouts: TensorDictBase, horizon: int) -> bool:
+    """Look at one episode per environment, of any actions.
+
+    Args:
+        rollouts: ``[N, T]``.
+        horizon: T.
+
+    Returns:
+        Whether the environment ends its episodes at T itself; otherwise it goes on.
+
+    Raises:
+        ValueError: an episode ends before T, or not all do at T, or observes NaN or infinity.
+    """
+    done = rollouts["next", "done"].squeeze(-1)
+    last = done[:, -1]
+    if done[:, :-1].any() or last.any() != last.all():
+        ends = sorted((done.nonzero()[:, 1] + 1).unique().tolist())
+        raise ValueError(
+            f"this environment cannot be trained on: with random actions its episodes end at steps "
+            f"{ends}, and the demonstrations have {horizon}. Episodes of one fixed length are "
+            "needed, which end by time alone: switch early termination off (in Gymnasium often "
+            "terminate_when_unhealthy=False), and set the time limit to the demonstrations' length"
+        )
+    observation = rollouts["next", "observation"]
+    if not torch.isfinite(observation).all():
+        raise ValueError(
+            "this environment cannot be trained on: with random actions its observations become "
+            "NaN or infinite"
+        )
+    return bool(last.all())
 
 
 def _batch(env: EnvBase) -> Iterator[str]:
@@ -62,6 +95,13 @@ def _inputs(env: EnvBase, policy: ContextPolicy) -> Iterator[str]:
                 f"{key!r} is {spec.dtype}, and the networks take {torch.get_default_dtype()} "
                 "(DoubleToFloat casts)"
             )
+    observed = specs.get("observation", None)
+    size = policy.gaussian.standardize.features
+    if observed is not None and tuple(observed.shape) != (*env.batch_size, size):
+        yield (
+            f"its observations have the shape {list(observed.shape)}; the demonstrations' are "
+            f"{[*env.batch_size, size]}"
+        )
 
 
 def _length(env: EnvBase, horizon: int) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from pemirl_trl.modules.actors import ContextPolicy, ContextValue
 from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder, NoContext
 from pemirl_trl.modules.discriminator import AIRLDiscriminator, GAILDiscriminator
+from pemirl_trl.modules.family import FamilyDistance, TrainingFamily
 from pemirl_trl.modules.model import ModelConfig, PEMIRLModel
 from pemirl_trl.modules.reading import MissingKeyError
 from pemirl_trl.modules.reward import ShapedReward
@@ -13,6 +14,7 @@ __all__ = [
     "ContextEncoder",
     "ContextPolicy",
     "ContextValue",
+    "FamilyDistance",
     "GAILDiscriminator",
     "MaskedContextEncoder",
     "MissingKeyError",
@@ -21,4 +23,5 @@ __all__ = [
     "PEMIRLModel",
     "ShapedReward",
     "Standardize",
+    "TrainingFamily",
 ]

@@ -12,6 +12,7 @@ from pemirl_trl.configuration import CHECKED, Count, Index, Positive, Share
 from pemirl_trl.modules.actors import ContextPolicy
 from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder, NoContext
 from pemirl_trl.modules.discriminator import GAILDiscriminator
+from pemirl_trl.modules.family import TrainingFamily
 from pemirl_trl.modules.reward import ShapedReward
 from pemirl_trl.modules.standardize import Standardize
 
@@ -56,6 +57,8 @@ class PEMIRLModel(nn.Module):
     Attributes:
         encoder, reward, policy: the three networks; they share the map of observations.
             ``reward`` writes ``learned_reward``, whatever its kind.
+        family: statistics of the demonstrations of its training, kept in its file; None where
+            nobody knows them.
 
     Args:
         observation_dim, action_dim, horizon: S, A and T of the domain.
@@ -85,6 +88,7 @@ class PEMIRLModel(nn.Module):
         self.config = config = config or ModelConfig()
         self.observation_dim, self.action_dim, self.horizon = observation_dim, action_dim, horizon
         self.standardize = standardize or Standardize.identity(observation_dim)
+        self.family: TrainingFamily | None = None
         self.encoder = self._new_encoder()
         self.reward = self._new_reward()
         self.policy = self.new_policy()

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 import pytest
 from pydantic.dataclasses import dataclass
 
-from pemirl_lab.runs.validation import changed_settings, leaves, typed
-from pemirl_trl.configuration import CHECKED, Count
+from pemirl_lab.runs.validation import changed_settings, leaves
+from pemirl_trl.configuration import CHECKED, Count, typed
 
 
 @dataclass(frozen=True, config=CHECKED)

@@ -1,0 +1,118 @@
+"""Runs on an environment of the user's own, ``env=my_module:make_env``, in ``key=value`` words."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import field
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from pydantic.dataclasses import dataclass
+from yaml import YAMLError
+
+from pemirl_lab.runs.run_folder import RunFolder
+from pemirl_trl.configuration import CHECKED, Count, SeedNumber, typed
+
+Values = TypeVar("Values")
+
+
+@dataclass(frozen=True, config=CHECKED)
+class OwnTask:
+    """What the commands on a user's environment share.
+
+    Attributes:
+        env: ``"my_module:make_env"``; see :data:`pemirl_trl.methods.MakeEnv`.
+        run_dir: where the run writes; the same command resumes it.
+        seed, logger, checkpoint_every: as in the other commands.
+        settings: of the library, by their dotted names: what is none of the values above.
+    """
+
+    env: str
+    run_dir: str
+    seed: SeedNumber = 0
+    logger: Literal["csv", "tensorboard"] | None = "csv"
+    checkpoint_every: Count = 25
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    def folder(self) -> RunFolder:
+        """The folder of the run."""
+        return RunFolder(
+            self.run_dir,
+            dataclasses.asdict(self),
+            logger=self.logger,
+            checkpoint_every=self.checkpoint_every,
+        )
+
+
+def is_own(arguments: Sequence[str]) -> bool:
+    """Whether a command line names an environment of the user's own."""
+    return any(text.startswith("env=") for text in arguments)
+
+
+def parse_words(arguments: Sequence[str], values: type[Values], *, rest: bool = False) -> Values:
+    """Typed values of ``key=value`` words, nested as ``a.b=value``, each value as YAML.
+
+    Args:
+        arguments: the words.
+        values: a dataclass.
+        rest: whether words of other names are the library's, and go to ``settings``.
+
+    Raises:
+        ValueError: something that is no such word, or every wrong or missing value by its name.
+    """
+    strange = [text for text in arguments if "=" not in text or text.startswith(("-", "+", "~"))]
+    if strange:
+        raise ValueError(f"got {' '.join(strange)}; expected words like key=value")
+    try:
+        given: Any = OmegaConf.to_container(OmegaConf.from_dotlist(list(arguments)), resolve=True)
+    except (OmegaConfBaseException, YAMLError, ValueError) as error:
+        raise ValueError(f"cannot read {' '.join(arguments)}: {error}") from error
+    fields = dataclasses.fields(values)  # type: ignore[arg-type]
+    own = {f.name for f in fields} - {"settings"}
+    missing = [
+        f.name
+        for f in fields
+        if f.name not in given
+        and f.default is dataclasses.MISSING
+        and f.default_factory is dataclasses.MISSING
+    ]
+    if missing:
+        raise ValueError("missing " + ", ".join(f"{name}=..." for name in missing))
+    if rest:
+        library = {name: given.pop(name) for name in sorted(given.keys() - own)}
+        given["settings"] = library
+    return typed(values, given)
+
+
+def load_make_env(name: str) -> Callable[[int, int], Any]:
+    """The function that ``"my_module:make_env"`` names; modules of the working directory count.
+
+    Raises:
+        ValueError: there is no such module or function; says where it was looked for.
+    """
+    module_name, colon, function = name.partition(":")
+    if not (module_name and colon and function):
+        raise ValueError(f"env={name}: expected module:function, such as my_module:make_env")
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.insert(0, here)
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
+            raise  # a module that the user's own imports
+        raise ValueError(
+            f"env={name}: no module {module_name} in {here} or among what is installed"
+        ) from error
+    make_env = getattr(module, function, None)
+    if not callable(make_env):
+        there = [k for k, v in vars(module).items() if callable(v) and not k.startswith("_")]
+        raise ValueError(
+            f"env={name}: {module.__file__} has no function {function}; it has {sorted(there)}"
+        )
+    return make_env

@@ -1,0 +1,199 @@
+"""Settings for a task that nobody has tuned: what its demonstrations say, in one place.
+
+A preset says which method; sizes of batches and budgets follow from the horizon, the number of
+demonstrations and the size of their actions. Every one can be given instead.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from pemirl_trl.configuration import typed
+from pemirl_trl.data import DemonstrationDataset
+from pemirl_trl.methods.adaptation import AdaptationConfig
+from pemirl_trl.methods.meta_training import METHODS, TRAINING, MethodConfig
+from pemirl_trl.modules import PEMIRLModel
+
+PRESETS: Mapping[str, str] = {
+    "paper": "pemirl",
+    "bounded": "pemirl_bounded",
+    "robust": "pemirl_robust",
+    "contrastive": "pemirl_contrastive",
+}
+"""Names of ways of meta-training, and their entries in :data:`METHODS`."""
+
+META_TRAINING_STEPS = 2_000_000
+"""Environment steps of meta-training, about."""
+ADAPTATION_STEPS = 1_300_000
+"""Environment steps of adaptation, about, without the short tries that choose its start."""
+STEPS_PER_ITERATION = 40_000
+LEAST_ITERATIONS = 50
+"""A trust-region method needs its steps, however long the episodes are."""
+
+Values = Mapping[str, Any]
+
+
+def meta_training_config(
+    demonstrations: DemonstrationDataset, preset: str = "robust", overrides: Values | None = None
+) -> MethodConfig:
+    """The configuration of meta-training for demonstrations.
+
+    Args:
+        demonstrations: of the training tasks.
+        preset: one of :data:`PRESETS`.
+        overrides: fields of :class:`MethodConfig`; nested ones as dictionaries of what differs, or
+            as whole configurations.
+
+    Raises:
+        ValueError: an unknown preset, or a wrong name or value of a setting.
+    """
+    if preset not in PRESETS:
+        raise ValueError(f"unknown preset {preset!r}; choose one of {[*PRESETS]}")
+    base = METHODS[PRESETS[preset]]
+    found = found_for_meta_training(demonstrations, preset, overrides)
+    values = merged(dataclasses.asdict(base), found, overrides or {})
+    training = typed(TRAINING[base.algorithm], values.pop("training"), at="training")
+    return typed(MethodConfig, {**values, "training": training})
+
+
+def adaptation_config(
+    model: PEMIRLModel, demonstrations: DemonstrationDataset, overrides: Values | None = None
+) -> AdaptationConfig:
+    """The configuration of adaptation to the reward of each of these demonstrations.
+
+    Args:
+        model: knows the size of the actions, by the deviation that its policy began with; those of
+            one demonstration may all be small.
+        demonstrations: one of each new task.
+        overrides: fields of :class:`AdaptationConfig`, as in :func:`meta_training_config`.
+
+    Raises:
+        ValueError: a wrong name or value of a setting.
+    """
+    found = found_for_adaptation(model, demonstrations, overrides)
+    values = merged(dataclasses.asdict(AdaptationConfig()), found, overrides or {})
+    return typed(AdaptationConfig, values)
+
+
+def found_for_meta_training(
+    demonstrations: DemonstrationDataset, preset: str, overrides: Values | None = None
+) -> dict[str, Any]:
+    """What the demonstrations say about meta-training, as a nested dictionary of settings.
+
+    What is given counts where other values follow from it, such as iterations from rollouts.
+    """
+    horizon, count = demonstrations.horizon, len(demonstrations)
+    envs = _between(round(STEPS_PER_ITERATION / horizon), 100, 800)
+    given = overrides or {}
+    rollouts = _given(given, ("training", "rollouts_per_context"), _between(envs // 50, 4, 16))
+    contexts = _given(given, ("contexts_per_batch",), min(50, count, max(1, envs // rollouts)))
+    steps = contexts * rollouts * horizon
+    scale = action_size(demonstrations)
+    training: dict[str, Any] = {
+        "iterations": max(LEAST_ITERATIONS, round(META_TRAINING_STEPS / steps)),
+        "rollouts_per_context": rollouts,
+        "batch": {"time_steps": _between(horizon // 10, 5, 50)},
+    }
+    if preset in ("robust", "contrastive"):
+        training["policy"] = {"final_scale": 0.3 * scale}
+    if preset == "robust":
+        # As Meta-IL made them, contexts stay what r was learned for.
+        training |= {"info_coeff": 0.0, "encoder_lr": 0.0}
+    return {
+        "model": {"policy_scale": scale},
+        "meta_il": {
+            # The evidence bound's own is 1 / T. On short episodes that is so much that m says
+            # nothing for the first thousand steps; a smaller one was never seen to harm.
+            "kl_coeff": min(0.03, 1.0 / horizon),
+            "batch_size": min(64, count),
+        },
+        "contexts_per_batch": contexts,
+        "training": training,
+    }
+
+
+def found_for_adaptation(
+    model: PEMIRLModel, demonstrations: DemonstrationDataset, overrides: Values | None = None
+) -> dict[str, Any]:
+    """What model and demonstrations say about adaptation; see :func:`found_for_meta_training`."""
+    horizon, count = demonstrations.horizon, len(demonstrations)
+    least = _between(round(18_000 / horizon), 60, 400)
+    rollouts = _given(overrides or {}, ("rollouts",), count * max(4, round(least / count)))
+    scale = model.config.policy_scale
+    return {
+        "rollouts": rollouts,
+        "policy_scale": 3.0 * scale,
+        "optimization": {
+            "iterations": max(LEAST_ITERATIONS, round(ADAPTATION_STEPS / (rollouts * horizon))),
+            "final_scale": 0.1 * scale,
+            # Of a squared error in units of actions, beside standardised advantages.
+            "imitate_best": 1.0 / scale**2,
+        },
+    }
+
+
+def action_size(demonstrations: DemonstrationDataset) -> float:
+    """Roughly the size of the demonstrated actions: what deviations are multiples of.
+
+    The 0.95 quantile of their magnitude, in two digits: the library's deviations are those of
+    actions that are bounded by 1.
+
+    Raises:
+        ValueError: all actions are 0.
+    """
+    size = float(demonstrations.action.abs().flatten()[:1_000_000].quantile(0.95))
+    if size == 0.0:
+        raise ValueError("the demonstrated actions are all 0; expected somebody to have acted")
+    return float(f"{size:.2g}")
+
+
+def merged(*layers: Values) -> dict[str, Any]:
+    """Lay nested dictionaries over each other, later over earlier; dataclasses count as whole."""
+    result: dict[str, Any] = {}
+    for layer in layers:
+        for name, value in layer.items():
+            if dataclasses.is_dataclass(value) and not isinstance(value, type):
+                result[name] = dataclasses.asdict(value)
+            elif isinstance(value, Mapping) and isinstance(result.get(name), Mapping):
+                result[name] = merged(result[name], value)
+            else:
+                result[name] = value
+    return result
+
+
+def table(found: Values, config: Any) -> str:
+    """The settings that were found, with the values that are used, one a line."""
+    rows = [(".".join(path), _read(config, path)) for path in _paths(found)]
+    width = max(len(name) for name, _ in rows)
+    return "\n".join(f"{name:<{width}}  {value:g}" for name, value in rows)
+
+
+def _paths(node: Values, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    for name, value in node.items():
+        if isinstance(value, Mapping):
+            yield from _paths(value, (*path, name))
+        else:
+            yield (*path, name)
+
+
+def _read(config: Any, path: Sequence[str]) -> Any:
+    for name in path:
+        config = config[name] if isinstance(config, Mapping) else getattr(config, name)
+    return config
+
+
+def _given(overrides: Values, path: Sequence[str], otherwise: int) -> int:
+    """The override at a path, where it is one that can be counted with."""
+    node: Any = overrides
+    for name in path:
+        if dataclasses.is_dataclass(node):
+            node = getattr(node, name, None)
+        else:
+            node = node.get(name) if isinstance(node, Mapping) else None
+    return node if type(node) is int and node > 0 else otherwise
+
+
+def _between(value: int, low: int, high: int) -> int:
+    return max(low, min(high, value))

@@ -1,0 +1,156 @@
+"""Environments of whole episodes from whatever a user's ``make_env`` returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import torch
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+from torchrl.envs import (
+    Compose,
+    DoubleToFloat,
+    EnvBase,
+    GymWrapper,
+    RenameTransform,
+    StepCounter,
+    Transform,
+    TransformedEnv,
+)
+from torchrl.modules import RandomPolicy
+
+from pemirl_trl.data import DemonstrationDataset
+from pemirl_trl.methods.requirements import check_environment, check_episodes
+from pemirl_trl.modules import PEMIRLModel
+from pemirl_trl.transforms import InferContext
+
+MakeEnv = Callable[[int, int], Any]
+"""(num_envs, seed) -> a TorchRL environment of batch size ``[num_envs]``, a Gymnasium vector
+environment of as many, or a single Gymnasium environment, which is then made for each of them."""
+
+_PROBED = 2  # environments of the episode that is looked at before anything is trained
+
+
+class Episodes:
+    """Makes environments whose episodes last as long as the demonstrations did.
+
+    One episode of random actions is looked at first. An environment without a time limit of its
+    own is given one; an environment that ends otherwise is refused.
+
+    Args:
+        make_env: see :data:`MakeEnv`.
+        model: whose policy is to act.
+        demonstrations: give the horizon.
+        seed: of the episode that is looked at.
+
+    Raises:
+        TypeError: ``make_env`` returns something else than an environment.
+        ValueError: everything about the environment that does not fit, each with its cure.
+    """
+
+    def __init__(
+        self,
+        make_env: MakeEnv,
+        model: PEMIRLModel,
+        demonstrations: DemonstrationDataset,
+        seed: int = 0,
+    ) -> None:
+        self._make_env, self._horizon = make_env, model.horizon
+        with torch.random.fork_rng(devices=[]):
+            env = self._batched(_PROBED, seed)
+            infer = InferContext(model.encoder, demonstrations.trajectories())
+            check_environment(_transformed(env, infer), model.policy, model.horizon)
+            actor = RandomPolicy(env.action_spec)
+            rollouts = env.rollout(model.horizon, actor, break_when_any_done=False)
+            self._limited = check_episodes(rollouts, model.horizon)
+            env.close()
+
+    def __call__(self, num_envs: int, seed: int, transform: Transform) -> EnvBase:
+        """Make ``num_envs`` environments, with a transform that decides what is rolled out."""
+        limit = [] if self._limited else [StepCounter(self._horizon)]
+        return _transformed(self._batched(num_envs, seed), Compose(*limit, transform))
+
+    def _batched(self, num_envs: int, seed: int) -> EnvBase:
+        env = self._torchrl(num_envs, seed)
+        if tuple(env.batch_size) != (num_envs,):
+            raise ValueError(
+                f"make_env({num_envs}, {seed}) returned an environment of batch size "
+                f"{list(env.batch_size)}; expected [{num_envs}]"
+            )
+        return _single_precision(env)
+
+    def _torchrl(self, num_envs: int, seed: int) -> EnvBase:
+        made = self._make_env(num_envs, seed)
+        if isinstance(made, gymnasium.Env):
+            others = [self._make_env(1, seed + i) for i in range(1, num_envs)]
+            makers = [lambda env=env: env for env in (made, *others)]
+            made = SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+        if isinstance(made, VectorEnv):
+            _check_time_limit(made, self._horizon)
+            made = wrap_gymnasium(made)
+            made.set_seed(seed)
+        if not isinstance(made, EnvBase):
+            raise TypeError(
+                f"make_env({num_envs}, {seed}) returned a {type(made).__name__}; expected a "
+                "TorchRL environment (EnvBase), a Gymnasium vector environment or a single one"
+            )
+        return made
+
+
+def wrap_gymnasium(env: VectorEnv, observation_key: str = "observation") -> EnvBase:
+    """Wrap a Gymnasium vector environment in TorchRL, its observation under ``"observation"``.
+
+    Args:
+        env: of a fixed number of environments; TorchRL knows the autoreset modes ``DISABLED`` and
+            ``SAME_STEP``.
+        observation_key: of an observation that is a dictionary: which entry is the observation.
+
+    Raises:
+        ValueError: another autoreset mode, or no such entry.
+    """
+    mode = env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
+    if mode not in (AutoresetMode.DISABLED, AutoresetMode.SAME_STEP):
+        raise ValueError(
+            f"the vector environment's autoreset mode is {mode.name}; expected DISABLED (or "
+            "SAME_STEP): gymnasium.make_vec(..., vector_kwargs={'autoreset_mode': "
+            "gymnasium.vector.AutoresetMode.DISABLED})"
+        )
+    wrapped = GymWrapper(env)
+    if observation_key in ("observation", "state"):  # TorchRL itself takes "state" for it
+        return wrapped
+    there = [str(key) for key in wrapped.observation_spec]
+    if observation_key not in there:
+        raise ValueError(f"the environment observes {there}; got observation_key={observation_key}")
+    return _transformed(wrapped, RenameTransform([observation_key], ["observation"]))
+
+
+def _check_time_limit(env: VectorEnv, horizon: int) -> None:
+    """Raise ValueError where the time limit of Gymnasium's registry is another than ``horizon``."""
+    of_each = getattr(env, "get_attr", None)
+    if of_each is None:  # not made of single environments
+        return
+    specs = [spec for spec in of_each("spec") if spec is not None]
+    limits = {spec.max_episode_steps for spec in specs} - {None}
+    if limits - {horizon}:
+        raise ValueError(
+            f"the environment's time limit is {sorted(limits)} steps, and the demonstrations have "
+            f"{horizon}: give gymnasium.make(..., max_episode_steps={horizon})"
+        )
+
+
+def _single_precision(env: EnvBase) -> EnvBase:
+    """Cast float64 observations and actions, as Gymnasium's engines have them."""
+    if torch.get_default_dtype() != torch.float32:
+        return env
+    spec = env.observation_spec.get("observation", None)
+    seen = ["observation"] if spec is not None and spec.dtype == torch.float64 else []
+    acts = ["action"] if env.action_spec.dtype == torch.float64 else []
+    if not seen and not acts:
+        return env
+    return _transformed(env, DoubleToFloat(in_keys=seen, in_keys_inv=acts))
+
+
+def _transformed(env: EnvBase, transform: Transform) -> TransformedEnv:
+    """Add a transform; one that a user's environment already has stays inside, as it is."""
+    return TransformedEnv(env, transform, auto_unwrap=False)

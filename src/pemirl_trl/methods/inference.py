@@ -1,0 +1,97 @@
+"""What one demonstration asks for, by a trained model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torch.distributions import Distribution
+
+from pemirl_trl.data import DemonstrationDataset
+from pemirl_trl.methods.own_training import as_dataset
+from pemirl_trl.modules import FamilyDistance, PEMIRLModel, ShapedReward
+
+
+@dataclass(frozen=True, eq=False)
+class Inference:
+    """A demonstration's context and reward.
+
+    Attributes:
+        posterior: q(m | demonstration), over ``[D]``.
+        context: ``[D]``, its mean.
+        distance: how far the demonstration is from those of training; None where the model's file
+            does not say what these were.
+    """
+
+    posterior: Distribution
+    context: Tensor
+    distance: FamilyDistance | None
+    _model: PEMIRLModel = field(repr=False)
+
+    @torch.no_grad()
+    def reward(self, observation: Tensor) -> Tensor:
+        """Return r(s, m) ``[..., 1]`` of states ``[..., S]``, without a unit.
+
+        Raises:
+            ValueError: the states are not those of the model.
+        """
+        size = self._model.observation_dim
+        if observation.shape[-1:] != (size,):
+            raise ValueError(f"got states {list(observation.shape)}; expected [..., {size}]")
+        return self._model.reward.reward(observation, self.context)
+
+    def __str__(self) -> str:
+        """Return m with its deviation, and the distance, in a few lines."""
+        pairs = zip(self.context.tolist(), self.posterior.stddev.tolist(), strict=True)
+        m = ", ".join(f"{mean:.3f} ± {deviation:.3f}" for mean, deviation in pairs)
+        distance = "unknown: the model does not say what it was trained on"
+        return f"m = [{m}]\ndistance: {self.distance or distance}"
+
+
+def infer(model: PEMIRLModel, demonstration: DemonstrationDataset | str | Path) -> Inference:
+    """Infer the context and the reward of one demonstration.
+
+    Args:
+        model: a trained one.
+        demonstration: a data set of one, or the file of it.
+
+    Raises:
+        ValueError: several demonstrations, or one of another size or length than the model's; or a
+            model without contexts or without r(s, m).
+    """
+    data = as_dataset(demonstration)
+    if len(data) != 1:
+        raise ValueError(
+            f"got {len(data)} demonstrations; expected one, such as demonstrations[0]: each has a "
+            "context of its own"
+        )
+    check_demonstrations(model, data)
+    with torch.no_grad():
+        posterior = model.encoder.get_dist(data.trajectories())
+        one = type(posterior)(type(posterior.base_dist)(posterior.mean[0], posterior.stddev[0]), 1)
+    context = one.mean
+    distance = None
+    if model.family is not None:
+        distance = model.family.distance(context, data.observation[0])
+    return Inference(one, context, distance, model)
+
+
+def check_demonstrations(model: PEMIRLModel, demonstrations: DemonstrationDataset) -> None:
+    """Raise ValueError unless a model can read rewards from demonstrations."""
+    if model.config.context_dim == 0 or not isinstance(model.reward, ShapedReward):
+        raise ValueError(
+            "this model infers no reward r(s, m): expected one with contexts and reward='shaped', "
+            f"got context_dim={model.config.context_dim}, reward={model.config.reward!r}"
+        )
+    d = demonstrations
+    got, wanted = (
+        (d.observation_dim, d.action_dim, d.horizon),
+        (model.observation_dim, model.action_dim, model.horizon),
+    )
+    if got != wanted:
+        raise ValueError(
+            f"the demonstrations have (S, A, T) = {got}: observed numbers, actions and steps; this "
+            f"model was trained on {wanted}"
+        )

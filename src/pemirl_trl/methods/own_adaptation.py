@@ -1,0 +1,312 @@
+"""A policy on the reward of one demonstration, in one call (Algorithm 2)."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from tensordict import TensorDictBase
+
+from pemirl_trl.data import DemonstrationDataset
+from pemirl_trl.evaluation import whole_episodes
+from pemirl_trl.methods.adaptation import AdaptationConfig, initial_policy
+from pemirl_trl.methods.defaults import adaptation_config, found_for_adaptation, table
+from pemirl_trl.methods.environments import Episodes, MakeEnv
+from pemirl_trl.methods.inference import check_demonstrations, infer
+from pemirl_trl.methods.loop import Metrics
+from pemirl_trl.methods.own_training import as_dataset, digest
+from pemirl_trl.methods.policy_optimization import PolicyOptimization
+from pemirl_trl.methods.stages import OnIteration, RunStage, stages
+from pemirl_trl.modules import ContextPolicy, PEMIRLModel
+from pemirl_trl.modules.family import FAR
+from pemirl_trl.transforms import InferContext
+
+LOG = logging.getLogger("pemirl_trl")
+Start = Literal["fresh", "trained"]
+
+TRY_SHARE = 1 / 6
+"""Share of the iterations that each start is tried for; the deviation shrinks as in a whole run."""
+JUDGED_EPISODES = 100
+"""Episodes in which policies are compared, about; at least 4 of each demonstration."""
+JUDGED_SEED = 100_003
+"""Added to the seed: policies are compared in episodes that none was trained on."""
+FAR_SHARE = 0.05
+"""Share of the steps on which r is asked far from its training that is worth a warning."""
+
+
+@dataclass(frozen=True, eq=False)
+class Adaptation:
+    """A policy on learned rewards, and what there is to know about it. No true return is known.
+
+    Attributes:
+        policy: reads ``observation`` and the ``context`` of a demonstration.
+        activation: of its hidden layers.
+        kept: ``"adapted"``, or ``"carried over"`` where adaptation earned less than the policy that
+            meta-training ended with, which is then the one returned.
+        start: what adaptation started from.
+        tries: what short tries of both starts earned; empty where the start was given.
+        learned_return: of the policy: sum over an episode of r(s, m), mean over episodes of all
+            demonstrations; mean action, the same episodes for all policies.
+        carried_over_return: that of the policy that meta-training ended with.
+        history: metrics of each iteration that this process did, without those of the tries.
+        env_steps: environment steps of adaptation, tries included.
+        warnings: what makes the result doubtful, in whole sentences.
+        settings: a table of those that were found from the data.
+    """
+
+    policy: ContextPolicy
+    activation: str
+    kept: Literal["adapted", "carried over"]
+    start: Start
+    tries: Mapping[str, float]
+    learned_return: float
+    carried_over_return: float
+    history: tuple[Metrics, ...]
+    env_steps: int
+    warnings: tuple[str, ...]
+    settings: str
+
+    def __str__(self) -> str:
+        """Return the learned returns and the warnings, one a line."""
+        tries = ", ".join(f"{name} {value:.2f}" for name, value in self.tries.items())
+        lines = [
+            f"kept: {self.kept} (start: {self.start}" + (f"; tries: {tries})" if tries else ")"),
+            f"learned return: {self.learned_return:.2f} (carried over: "
+            f"{self.carried_over_return:.2f}), after {self.env_steps:,} environment steps",
+            *(f"warning: {text}" for text in self.warnings),
+        ]
+        return "\n".join(lines)
+
+
+def adapt(
+    model: PEMIRLModel,
+    demonstrations: DemonstrationDataset | str | Path,
+    make_env: MakeEnv,
+    *,
+    seed: int = 0,
+    on_iteration: OnIteration | None = None,
+    checkpoint: str | Path | None = None,
+    **overrides: Any,
+) -> Adaptation:
+    """Train a policy on the inferred reward of each demonstration, where dynamics may have changed.
+
+    It starts afresh or from the policy that meta-training ended with: whichever earns more under r
+    in a short try. The policy that is returned never earns less under r than the one carried over.
+
+    Args:
+        model: encoder and reward, of :func:`meta_train` or :func:`pemirl_trl.load_model`.
+        demonstrations: one of each new task; or the file of them.
+        make_env: makes the environment to act in, as in :func:`meta_train`.
+        seed: of everything random.
+        on_iteration: called with the stage's name, the iteration (from 1) and its metrics.
+        checkpoint: folder of checkpoints; the same call resumes a training that died.
+        **overrides: fields of :class:`pemirl_trl.methods.AdaptationConfig`, nested ones as
+            dictionaries: ``optimization={"iterations": 100}``. With ``initial_policy`` there are no
+            tries.
+
+    Raises:
+        ValueError: demonstrations or an environment that do not fit the model, before anything is
+            trained; a wrong setting; or a checkpoint of another training.
+        TrainingDiverged: a quantity exploded.
+    """
+    data = as_dataset(demonstrations)
+    config = adaptation_config(model, data, overrides)
+    found = table(found_for_adaptation(model, data, overrides), config)
+    LOG.info("adaptation with\n%s", found)
+    choose = "initial_policy" not in overrides
+    what = f"{config} choose={choose} seed={seed} data={digest(data)}"
+    run_stage = stages(on_iteration, checkpoint, hashlib.sha256(what.encode()).hexdigest())
+    return adapt_in_stages(
+        model, data, make_env, config, run_stage, seed=seed, choose_start=choose, settings=found
+    )
+
+
+def adapt_in_stages(
+    model: PEMIRLModel,
+    demonstrations: DemonstrationDataset,
+    make_env: MakeEnv,
+    config: AdaptationConfig,
+    run_stage: RunStage,
+    *,
+    seed: int,
+    choose_start: bool,
+    settings: str = "",
+) -> Adaptation:
+    """What :func:`adapt` does, with another way to run its stages.
+
+    Args:
+        model, demonstrations, make_env, seed: as there.
+        config: of the adaptation.
+        run_stage: runs ``"try-fresh"``, ``"try-trained"`` and ``"adaptation"``.
+        choose_start: whether there are tries; otherwise the start is ``config.initial_policy``.
+        settings: a table of them, for the result.
+
+    Raises:
+        ValueError, TrainingDiverged: as there.
+    """
+    check_demonstrations(model, demonstrations)
+    train = _Training(model, demonstrations, make_env, run_stage, seed)
+    carried = model.trained_policy(config.policy_scale)
+    carried_return = train.learned_return(carried)
+    tries: dict[str, float] = {}
+    if choose_start:
+        few = max(1, round(TRY_SHARE * config.optimization.iterations))
+        short = replace(config, optimization=replace(config.optimization, iterations=few))
+        starts: tuple[Start, ...] = ("fresh", "trained")
+        for start in starts:
+            tried, _ = train(f"try-{start}", replace(short, initial_policy=start))
+            tries[start] = train.learned_return(tried)
+        config = replace(config, initial_policy=max(starts, key=lambda start: tries[start]))
+    policy, activation = train("adaptation", config)
+    adapted_return = train.learned_return(policy)
+    warnings = list(train.far_demonstrations())
+    kept: Literal["adapted", "carried over"] = "adapted"
+    if adapted_return < carried_return:
+        kept, policy, activation = "carried over", carried, "relu"
+        warnings.append(
+            f"adaptation earned {adapted_return:.2f} under the learned reward and the policy "
+            f"carried over {carried_return:.2f}: the latter is returned. More iterations, or "
+            "another deviation (policy_scale), may help"
+        )
+    warnings += train.far_states(policy)
+    return Adaptation(
+        policy=policy,
+        activation=activation,
+        kept=kept,
+        start=config.initial_policy,
+        tries=tries,
+        learned_return=max(adapted_return, carried_return),
+        carried_over_return=carried_return,
+        history=tuple(train.history["adaptation"]),
+        env_steps=train.env_steps,
+        warnings=tuple(warnings),
+        settings=settings,
+    )
+
+
+class _Training:
+    """Trains policies on the learned rewards of demonstrations, and compares them."""
+
+    def __init__(
+        self,
+        model: PEMIRLModel,
+        demonstrations: DemonstrationDataset,
+        make_env: MakeEnv,
+        run_stage: RunStage,
+        seed: int,
+    ) -> None:
+        self.model, self.demonstrations, self.seed = model, demonstrations, seed
+        self.env_steps = 0
+        self.history: dict[str, list[Metrics]] = {}
+        self._run_stage = run_stage
+        self._episodes = Episodes(make_env, model, demonstrations, seed)
+
+    def __call__(self, stage: str, config: AdaptationConfig) -> tuple[ContextPolicy, str]:
+        """Train one policy; also return the activation of its hidden layers."""
+        count = len(self.demonstrations)
+        rollouts = max(1, config.rollouts // count)
+        torch.manual_seed(self.seed)
+        policy, activation = initial_policy(self.model, config)
+        env = self._episodes(count * rollouts, self.seed, self._infer(rollouts))
+        optimization = PolicyOptimization(
+            env,
+            policy,
+            self.model.horizon,
+            config.optimization,
+            rollouts_per_context=rollouts,
+            reward=self.model.reward,
+        )
+        method = _Recorded(optimization)
+        self._run_stage(stage, method)
+        env.close()
+        self.env_steps += method.env_steps
+        self.history[stage] = method.history
+        return policy, activation
+
+    def learned_return(self, policy: ContextPolicy) -> float:
+        """What a policy's mean action earns under r, in the episodes that are common to all."""
+        rollouts = self._rollouts(policy)
+        with torch.no_grad():
+            reward = self.model.reward.reward(rollouts["observation"], rollouts["context"])
+        return float(reward.sum(1).mean())
+
+    def _rollouts(self, policy: ContextPolicy) -> TensorDictBase:
+        count = len(self.demonstrations)
+        each = max(4, JUDGED_EPISODES // count)
+        seed = self.seed + JUDGED_SEED
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            env = self._episodes(count * each, seed, self._infer(each))
+            rollouts = whole_episodes(env, policy, self.model.horizon)
+            env.close()
+        return rollouts
+
+    def _infer(self, rollouts: int) -> InferContext:
+        return InferContext(
+            self.model.encoder,
+            self.demonstrations.trajectories(),
+            rollouts_per_context=rollouts,
+            draw="all",
+            sample=False,
+        )
+
+    def far_demonstrations(self) -> list[str]:
+        """A warning for each demonstration that is far from those of training."""
+        if self.model.family is None:
+            return [
+                "the model does not say what it was trained on: whether these demonstrations are "
+                "of its family is unknown"
+            ]
+        distances = [infer(self.model, one).distance for one in self._each()]
+        return [
+            f"demonstration {i} is {distance}: its reward may mean nothing"
+            for i, distance in enumerate(distances)
+            if distance is not None and distance.far
+        ]
+
+    def _each(self) -> list[DemonstrationDataset]:
+        return [self.demonstrations[i] for i in range(len(self.demonstrations))]
+
+    def far_states(self, policy: ContextPolicy) -> list[str]:
+        """A warning where a policy takes r far from anything it was trained on."""
+        family, features = self.model.family, self.model.config.reward_features
+        if family is None:
+            return []
+        excess = family.excess(self._rollouts(policy)["observation"])
+        read = [*range(excess.shape[-1])] if features is None else list(features)
+        excess = excess[..., read].flatten(0, -2)
+        share = float((excess.amax(-1) > FAR).float().mean())
+        if share <= FAR_SHARE:
+            return []
+        worst = excess.amax(0)
+        return [
+            f"on {100 * share:.0f} % of its steps the policy takes r to states more than {FAR:g} "
+            f"training deviations outside of what was demonstrated (up to "
+            f"{float(worst.max()):.0f}, component {read[int(worst.argmax())]} of the "
+            "observation): r was not trained there"
+        ]
+
+
+class _Recorded:
+    """A method that remembers its metrics."""
+
+    def __init__(self, method: PolicyOptimization) -> None:
+        self._method, self.iterations = method, method.iterations
+        self.history: list[Metrics] = []
+
+    @property
+    def env_steps(self) -> int:
+        return self._method.env_steps
+
+    def iteration(self) -> Metrics:
+        metrics = self._method.iteration()
+        self.history.append(metrics)
+        return metrics
+
+    def components(self) -> dict[str, Any]:
+        return self._method.components()

@@ -1,0 +1,136 @@
+"""Meta-training on a task of one's own, in one call."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from pemirl_trl.data import DemonstrationDataset
+from pemirl_trl.methods.defaults import found_for_meta_training, meta_training_config, table
+from pemirl_trl.methods.environments import Episodes, MakeEnv
+from pemirl_trl.methods.meta_il import MetaIL
+from pemirl_trl.methods.meta_training import MethodConfig, build, new_model, start_from
+from pemirl_trl.methods.stages import OnIteration, RunStage, stages
+from pemirl_trl.modules import PEMIRLModel, TrainingFamily
+from pemirl_trl.transforms import InferContext
+
+LOG = logging.getLogger("pemirl_trl")
+
+
+def meta_train(
+    make_env: MakeEnv,
+    demonstrations: DemonstrationDataset | str | Path,
+    preset: str = "robust",
+    *,
+    task_space: Sequence[int] | None = None,
+    seed: int = 0,
+    on_iteration: OnIteration | None = None,
+    checkpoint: str | Path | None = None,
+    **overrides: Any,
+) -> PEMIRLModel:
+    """Learn q(m | demonstration), r(s, m) and a policy from unlabelled demonstrations.
+
+    The settings that follow from the demonstrations are logged (logger ``pemirl_trl``, level
+    ``INFO``); :func:`pemirl_trl.methods.meta_training_config` returns them beforehand. No true
+    reward is read.
+
+    Args:
+        make_env: ``make_env(num_envs, seed)`` makes the environment of the demonstrations, with
+            continuous actions and episodes as long as they are; see :data:`MakeEnv`.
+        demonstrations: of many tasks, one or more of each; or the file of them.
+        preset: ``"robust"``, whose rewards transfer where observations are what the task is about;
+            ``"contrastive"``, where a body or an object stands in between (needs ``task_space``);
+            ``"paper"`` or ``"bounded"``, the published method.
+        task_space: which components of an observation the task is about, for ``"contrastive"``.
+        seed: of everything random.
+        on_iteration: called with the stage's name, the iteration (from 1) and its metrics.
+        checkpoint: folder of checkpoints; the same call resumes a training that died.
+        **overrides: fields of :class:`pemirl_trl.methods.MethodConfig`, nested ones as
+            dictionaries: ``training={"iterations": 100}``.
+
+    Raises:
+        ValueError: an environment that cannot be trained on, before anything is trained; an unknown
+            preset; a wrong setting; or a checkpoint of another training.
+        TrainingDiverged: a quantity exploded.
+    """
+    data = as_dataset(demonstrations)
+    config = meta_training_config(data, preset, overrides)
+    found = table(found_for_meta_training(data, preset, overrides), config)
+    LOG.info("meta-training with preset %s and\n%s", preset, found)
+    what = f"{config} task_space={task_space} seed={seed} data={digest(data)}"
+    run_stage = stages(on_iteration, checkpoint, hashlib.sha256(what.encode()).hexdigest())
+    return meta_train_in_stages(make_env, data, config, run_stage, seed=seed, task_space=task_space)
+
+
+def meta_train_in_stages(
+    make_env: MakeEnv,
+    demonstrations: DemonstrationDataset,
+    config: MethodConfig,
+    run_stage: RunStage,
+    *,
+    seed: int,
+    task_space: Sequence[int] | None = None,
+) -> PEMIRLModel:
+    """What :func:`meta_train` does, with another way to run its two stages.
+
+    Args:
+        make_env, demonstrations, seed, task_space: as there.
+        config: of the method.
+        run_stage: runs ``"meta-il"`` and ``"meta-training"``.
+
+    Raises:
+        ValueError, TrainingDiverged: as there.
+    """
+    torch.manual_seed(seed)
+    meta_il = new_model(demonstrations, config, task_space=task_space)
+    episodes = Episodes(make_env, meta_il, demonstrations, seed)
+    pile = demonstrations.trajectories()
+    run_stage("meta-il", MetaIL(meta_il, pile, config.meta_il))
+    torch.manual_seed(seed)
+    model = new_model(demonstrations, config, task_space=task_space)
+    start_from(model, meta_il, config)
+    rollouts = config.training.rollouts_per_context
+    infer = InferContext(model.encoder, pile, rollouts_per_context=rollouts)
+    env = episodes(config.contexts_per_batch * rollouts, seed, infer)
+    run_stage("meta-training", build(config, model, env, pile))
+    env.close()
+    model.family = training_family(model, demonstrations)
+    return model
+
+
+@torch.no_grad()
+def training_family(model: PEMIRLModel, demonstrations: DemonstrationDataset) -> TrainingFamily:
+    """Statistics of a model's training demonstrations, for ``model.family``."""
+    contexts = model.encoder.get_dist(demonstrations.trajectories()).mean
+    return TrainingFamily.fit(contexts, demonstrations.observation, model.standardize.scale)
+
+
+def as_dataset(demonstrations: DemonstrationDataset | str | Path) -> DemonstrationDataset:
+    """The data set itself, or that of a file.
+
+    Raises:
+        TypeError: neither was given.
+        FileNotFoundError, ValueError: as :meth:`DemonstrationDataset.load`.
+    """
+    if isinstance(demonstrations, DemonstrationDataset):
+        return demonstrations
+    if isinstance(demonstrations, str | Path):
+        return DemonstrationDataset.load(demonstrations)
+    raise TypeError(
+        f"got demonstrations of type {type(demonstrations).__name__}; expected a "
+        "DemonstrationDataset (DemonstrationDataset.from_episodes makes one of pairs of arrays) or "
+        "the name of its file"
+    )
+
+
+def digest(demonstrations: DemonstrationDataset) -> str:
+    """What tells demonstrations from others: a hash of their observations and actions."""
+    content = hashlib.sha256()
+    for values in (demonstrations.observation, demonstrations.action):
+        content.update(values.detach().cpu().contiguous().numpy().tobytes())
+    return content.hexdigest()

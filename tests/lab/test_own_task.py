@@ -1,0 +1,160 @@
+"""Commands on an environment of the user's own: ``env=my_module:make_env``."""
+
+import importlib
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from pemirl_lab import cli
+from pemirl_lab.runs.own_task import OwnTask, load_make_env, parse_words
+from pemirl_trl import load_model
+
+PENDULUM = Path(__file__).parents[2] / "examples" / "own_pendulum" / "pendulum.py"
+FEW = (
+    "meta_il.steps=4",
+    "meta_il.steps_per_iteration=2",
+    "contexts_per_batch=2",
+    "training.iterations=2",
+    "training.rollouts_per_context=2",
+    "training.batch.trajectories=8",
+    "logger=null",
+)
+TRAIN = ("demonstrations=train.safetensors", "env=my_pendulum:make", "run_dir=R")
+ADAPT = (
+    "model_file=R/model.safetensors",
+    "test_demonstrations=one.safetensors",
+    "env=my_pendulum:make_reversed",
+    "run_dir=A",
+    "rollouts=4",
+    "optimization.iterations=3",
+    "logger=null",
+)
+
+
+@pytest.fixture
+def mine(here, monkeypatch):
+    """A working directory with a module of the user's and two files."""
+    shutil.copy(PENDULUM, here / "my_pendulum.py")
+    monkeypatch.syspath_prepend(str(here))
+    task = importlib.import_module("my_pendulum")
+    task.demonstrations(6, 1).save(here / "train.safetensors")
+    task.demonstrations(1, 2).save(here / "one.safetensors")
+    yield here
+    sys.modules.pop("my_pendulum", None)
+
+
+@pytest.fixture
+def pemirl(mine, command, monkeypatch):
+    """The user's command line, in this process."""
+
+    def pemirl(*arguments):
+        monkeypatch.setattr(sys, "argv", ["pemirl", *arguments])
+        cli.main()
+
+    return pemirl
+
+
+def test_a_task_of_ones_own_from_demonstrations_to_a_policy(pemirl, mine, capsys):
+    pemirl("meta_train", *TRAIN, *FEW)
+    shown = capsys.readouterr()
+    assert "training.rollouts_per_context  2\n" in shown.out
+    assert load_model(mine / "R/model.safetensors").family is not None
+    pemirl("adapt_reward", *ADAPT)
+    pemirl("infer", "model_file=R/model.safetensors", "demonstration=one.safetensors")
+    shown = capsys.readouterr()
+    assert "learned return:" in shown.out
+    assert "\ndistance: " in shown.out
+    assert "r(s, m) along the demonstration" in shown.out
+    assert "step    99" in shown.out
+    record = json.loads((mine / "A/adaptation.json").read_text())
+    assert record["learned_return"] >= record["carried_over_return"]
+    assert set(record["tries"]) == {"fresh", "trained"}
+    assert (mine / "A/policy.safetensors").is_file()
+    # Nobody knows a true return here, and nothing shows one.
+    assert "true" not in shown.out + shown.err
+
+
+def test_the_same_words_resume_and_others_are_refused(pemirl, mine, capsys):
+    pemirl("meta_train", *TRAIN, *FEW)
+    before = (mine / "R/model.safetensors").read_bytes()
+    pemirl("meta_train", *TRAIN, *FEW)
+    assert (mine / "R/model.safetensors").read_bytes() == before
+    with pytest.raises(SystemExit, match="holds a run with another seed"):
+        pemirl("meta_train", *TRAIN, *FEW, "seed=1")
+    stored = yaml.safe_load((mine / "R/config.yaml").read_text())
+    assert stored["settings"]["training"]["iterations"] == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("env=my_pendulum:maek",), r"my_pendulum.py has no function maek; it has \[.*'make'"),
+        (("env=my_pendulumm:make",), "env=my_pendulumm:make: no module my_pendulumm in "),
+        (("env=my_pendulum",), "env=my_pendulum: expected module:function, such as my_module:"),
+        (("env=my_pendulum:T",), "has no function T"),
+        (("preset=best",), "unknown preset 'best'; choose one of"),
+        (("training.iteratons=3",), "unknown key training.iteratons"),
+        (("seed=-1",), "seed=-1: expected greater than or equal to 0"),
+        (("demonstrations=none.safetensors",), "no file none.safetensors"),
+        (("preset=contrastive",), "say which components of an observation"),
+        (("--help",), "got --help; expected words like key=value"),
+        (("+training.iterations=3",), "expected words like key=value"),
+    ],
+)
+def test_a_wrong_word_is_said_and_no_model_is_made(pemirl, mine, words, message):
+    with pytest.raises(SystemExit, match=f"^pemirl meta_train: .*{message}"):
+        pemirl("meta_train", *TRAIN, *FEW, *words)
+    assert not (mine / "R/model.safetensors").exists()
+
+
+def test_a_missing_word_is_named(pemirl):
+    with pytest.raises(SystemExit, match=r"missing run_dir=\.\.\., demonstrations=\.\.\."):
+        pemirl("meta_train", "env=my_pendulum:make")
+
+
+def test_an_error_inside_the_users_module_is_the_users(mine):
+    (mine / "broken_module.py").write_text("import nothing_of_this_name\n")
+    with pytest.raises(ModuleNotFoundError, match="nothing_of_this_name"):
+        load_make_env("broken_module:make")
+
+
+def test_words_are_yaml_and_the_rest_is_the_librarys():
+    words = ["env=a:b", "run_dir=R", "seed=3", "training.iterations=7", "task_space=[0,1]"]
+    task = parse_words(words, OwnTask, rest=True)
+    assert (task.env, task.seed) == ("a:b", 3)
+    assert task.settings == {"training": {"iterations": 7}, "task_space": [0, 1]}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "several.safetensors holds 6 demonstrations: choose one with index=0 to index=5"),
+        (("index=6",), "index=6: expected 0 to 5, the demonstrations there"),
+    ],
+)
+def test_infer_takes_one_demonstration(pemirl, mine, words, message):
+    pemirl("meta_train", *TRAIN, *FEW)
+    (mine / "train.safetensors").rename(mine / "several.safetensors")
+    given = ("model_file=R/model.safetensors", "demonstration=several.safetensors")
+    with pytest.raises(SystemExit, match=message):
+        pemirl("infer", *given, *words)
+    pemirl("infer", *given, "index=2")
+
+
+def test_infer_says_what_it_takes(pemirl, capsys):
+    pemirl("infer", "--help")
+    assert "model_file=" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("fault", ["TypeError", "ValueError"])
+def test_an_error_in_the_users_function_keeps_its_traceback(pemirl, mine, fault):
+    (mine / "faulty.py").write_text(f"def make(num_envs, seed):\n    raise {fault}('mine')\n")
+    with pytest.raises((TypeError, ValueError), match=r"^mine$"):
+        pemirl("meta_train", *TRAIN, *FEW, "env=faulty:make")
+    (mine / "wrong.py").write_text("def make(num_envs, seed):\n    return None\n")
+    with pytest.raises(SystemExit, match="returned a NoneType; expected a TorchRL environment"):
+        pemirl("meta_train", *TRAIN, *FEW, "env=wrong:make", "run_dir=R2")

@@ -1,0 +1,128 @@
+"""Settings that demonstrations say, and what a user says instead."""
+
+import pytest
+import torch
+
+from pemirl_trl import DemonstrationDataset, ModelConfig, PEMIRLModel
+from pemirl_trl.methods import (
+    METHODS,
+    MetaILConfig,
+    PolicyOptimizationConfig,
+    adaptation_config,
+    meta_training_config,
+)
+from pemirl_trl.methods.defaults import (
+    LEAST_ITERATIONS,
+    found_for_adaptation,
+    found_for_meta_training,
+    table,
+)
+
+
+def data(count=100, horizon=100, size=1.0):
+    action = size * torch.ones(count, horizon, 1)
+    return DemonstrationDataset(torch.randn(count, horizon + 1, 3), action)
+
+
+def model(**sizes):
+    return PEMIRLModel(3, 1, 100, ModelConfig(**sizes))
+
+
+def test_budgets_are_those_of_point_maze_at_its_horizon():
+    config = meta_training_config(data())
+    assert (config.contexts_per_batch, config.training.rollouts_per_context) == (50, 8)
+    assert config.training.iterations == 50
+    assert config.meta_il.kl_coeff == 0.01
+    adaptation = adaptation_config(model(), data(30))
+    assert (adaptation.rollouts, adaptation.optimization.iterations) == (180, 72)
+
+
+@pytest.mark.parametrize("horizon", [5, 20, 50, 200, 1000])
+@pytest.mark.parametrize("count", [2, 10, 400])
+def test_budgets_are_kept_at_every_horizon_or_the_least_iterations_are_done(horizon, count):
+    config = meta_training_config(data(count, horizon))
+    steps = config.contexts_per_batch * config.training.rollouts_per_context * horizon
+    total = steps * config.training.iterations
+    assert config.training.iterations == LEAST_ITERATIONS or 1.8e6 < total < 2.2e6
+    assert config.training.rollouts_per_context >= 2
+    assert config.contexts_per_batch <= count
+    adaptation = adaptation_config(model(), data(count, horizon))
+    total = adaptation.rollouts * horizon * adaptation.optimization.iterations
+    assert adaptation.optimization.iterations == LEAST_ITERATIONS or 1.2e6 < total < 1.4e6
+    assert adaptation.rollouts >= 4 * count
+
+
+def test_the_weight_of_kl_is_the_evidence_bounds_own_on_long_episodes_alone():
+    weights = [meta_training_config(data(4, horizon)).meta_il.kl_coeff for horizon in (10, 500)]
+    assert weights == [0.03, 0.002]
+
+
+def test_deviations_are_in_units_of_the_demonstrated_actions():
+    one, ten = (adaptation_config(model(policy_scale=size), data()) for size in (1.0, 10.0))
+    assert ten.policy_scale == 10.0 * one.policy_scale == 30.0
+    assert ten.optimization.final_scale == 10.0 * one.optimization.final_scale
+    assert ten.optimization.imitate_best == pytest.approx(one.optimization.imitate_best / 100.0)
+    config = meta_training_config(data(size=10.0))
+    assert (config.model.policy_scale, config.training.policy.final_scale) == (10.0, 3.0)
+
+
+def test_actions_that_are_all_zero_are_refused():
+    with pytest.raises(ValueError, match="the demonstrated actions are all 0"):
+        meta_training_config(data(size=0.0))
+
+
+@pytest.mark.parametrize("preset", ["paper", "bounded", "robust", "contrastive"])
+def test_a_preset_is_the_librarys_method_but_for_what_was_found(preset):
+    names = {"paper": "pemirl", "bounded": "pemirl_bounded"}
+    base = METHODS[names.get(preset, f"pemirl_{preset}")]
+    config = meta_training_config(data(), preset)
+    assert config.training.gradient_penalty_coeff == base.training.gradient_penalty_coeff
+    assert config.training.batch.jitter_fraction == base.training.batch.jitter_fraction
+    assert config.reward_reads == base.reward_reads
+    assert config.learn_policy_scale == base.learn_policy_scale
+
+
+def test_a_given_setting_counts_alone_and_nested_ones_leave_the_rest():
+    given = {"meta_il": MetaILConfig(steps=100), "training": {"iterations": 7}}
+    config = meta_training_config(data(), overrides={**given, "contexts_per_batch": 10})
+    assert config.meta_il == MetaILConfig(steps=100)  # a whole configuration is taken as it is
+    assert config.training.iterations == 7
+    assert config.training.gradient_penalty_coeff == 0.1
+    assert config.contexts_per_batch == 10
+
+
+def test_iterations_follow_from_given_rollouts():
+    config = meta_training_config(data(), overrides={"training": {"rollouts_per_context": 4}})
+    assert config.training.iterations == 100
+    whole = {"optimization": PolicyOptimizationConfig(iterations=3)}
+    assert adaptation_config(model(), data(), whole).optimization.iterations == 3
+    assert adaptation_config(model(), data(), {"rollouts": 100}).optimization.iterations == 130
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"training": {"iteratons": 3}}, "unknown key training.iteratons"),
+        ({"training": {"iterations": 0}}, "training.iterations=0: expected greater than"),
+        ({"contexts": 3}, "unknown key contexts"),
+    ],
+)
+def test_a_wrong_setting_is_named(overrides, message):
+    with pytest.raises(ValueError, match=message):
+        meta_training_config(data(), overrides=overrides)
+
+
+def test_an_unknown_preset_lists_those_that_there_are():
+    with pytest.raises(ValueError, match=r"unknown preset 'best'; choose one of \['paper', 'bou"):
+        meta_training_config(data(), "best")
+
+
+def test_the_table_shows_what_is_used():
+    overrides = {"training": {"iterations": 7}}
+    found = found_for_meta_training(data(), "robust", overrides)
+    text = table(found, meta_training_config(data(), overrides=overrides))
+    assert "training.iterations            7\n" in text
+    assert "meta_il.kl_coeff               0.01\n" in text
+    assert "rollouts" in table(
+        found_for_adaptation(model(), data()), adaptation_config(model(), data())
+    )

@@ -1,0 +1,74 @@
+"""One demonstration's context, reward and distance from the family of training."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from pemirl_trl import DemonstrationDataset, PEMIRLModel, infer, load_model
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "file_version_1"
+
+
+def test_the_context_is_the_mean_of_the_posterior(trained, dataset):
+    one = dataset(torch.tensor([[0.3]]))
+    inference = infer(trained, one)
+    expected = trained.encoder.get_dist(one.trajectories())
+    torch.testing.assert_close(inference.context, expected.mean[0])
+    torch.testing.assert_close(inference.posterior.stddev, expected.stddev[0])
+    assert inference.posterior.batch_shape == ()
+    assert inference.context.shape == (2,)
+
+
+def test_the_reward_is_that_of_the_demonstrated_goal(trained, dataset):
+    states = torch.linspace(-1.25, 1.25, 101).unsqueeze(-1)
+    for goal in (-0.6, 0.0, 0.6):
+        reward = infer(trained, dataset(torch.tensor([[goal]]))).reward(states)
+        assert reward.shape == (101, 1)
+        assert not reward.requires_grad
+        assert abs(float(states[reward.argmax()]) - goal) < 0.4
+
+
+def test_states_of_another_size_are_refused(trained, dataset):
+    with pytest.raises(ValueError, match=r"got states \[5, 2\]; expected \[..., 1\]"):
+        infer(trained, dataset(torch.tensor([[0.3]]))).reward(torch.zeros(5, 2))
+
+
+def test_the_distance_separates_the_family_from_others(trained, dataset):
+    inside = [infer(trained, dataset(torch.tensor([[g]]))).distance for g in (-0.9, -0.35, 0.55)]
+    outside = [infer(trained, dataset(torch.tensor([[g]]))).distance for g in (-2.4, 2.4)]
+    assert not any(distance.far for distance in inside)
+    assert max(d.worst for d in inside) < 0.2 < 1.0 < min(d.worst for d in outside)
+    assert max(d.context for d in inside) < min(d.context for d in outside)
+    position = 50.0 * torch.ones(1, 11, 1)
+    elsewhere = DemonstrationDataset(position, torch.ones(1, 10, 1))
+    assert infer(trained, elsewhere).distance.far
+
+
+def test_an_old_file_does_not_know_its_family():
+    model = load_model(GOLDEN / "model.safetensors")
+    one = DemonstrationDataset(torch.randn(1, 5, 3), torch.randn(1, 4, 2))
+    inference = infer(model, one)
+    assert inference.distance is None
+    assert str(inference).endswith(
+        "distance: unknown: the model does not say what it was trained on"
+    )
+
+
+def test_several_demonstrations_are_refused(trained, dataset):
+    with pytest.raises(ValueError, match="got 2 demonstrations; expected one, such as"):
+        infer(trained, dataset(torch.tensor([[0.3], [0.5]])))
+
+
+def test_a_demonstration_of_another_size_is_refused(trained):
+    other = DemonstrationDataset(torch.zeros(1, 6, 3), torch.ones(1, 5, 1))
+    with pytest.raises(
+        ValueError, match=r"\(S, A, T\) = \(3, 1, 5\).* was trained on \(1, 1, 10\)"
+    ):
+        infer(trained, other)
+
+
+def test_a_model_without_contexts_infers_nothing(reach, dataset):
+    model: PEMIRLModel = reach.model(context_dim=0)
+    with pytest.raises(ValueError, match="this model infers no reward"):
+        infer(model, dataset(torch.tensor([[0.3]])))

@@ -1,0 +1,137 @@
+"""Adaptation in one call: the start is chosen, the result never worse, doubts are said."""
+
+import copy
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from pemirl_trl import adapt, infer
+from pemirl_trl.evaluation import whole_episodes
+from pemirl_trl.methods import own_adaptation
+
+QUICK = {"rollouts": 24, "optimization": {"iterations": 18}}
+
+
+@pytest.fixture
+def new(dataset):
+    return dataset(torch.tensor([[-0.7], [0.1], [0.65]]))
+
+
+def end(policy, model, new, env):
+    """Where episodes of a policy's mean action end."""
+    with torch.no_grad():
+        context = torch.stack([infer(model, new[i]).context for i in range(len(new))])
+
+    def act(td):
+        return policy(td.set("context", context))
+
+    return whole_episodes(env, act, 10)["next", "observation"][:, -1, 0]
+
+
+def test_a_policy_for_reversed_steering_is_found_and_earns_more(trained, new, make_reversed):
+    result = adapt(trained, new, make_reversed, **QUICK)
+    assert result.kept == "adapted"
+    assert result.learned_return > result.carried_over_return
+    goals = torch.tensor([-0.7, 0.1, 0.65])
+    reached = end(result.policy, trained, new, make_reversed(3, 0))
+    carried = end(trained.policy, trained, new, make_reversed(3, 0))
+    assert (reached - goals).abs().mean() < 0.35 < (carried - goals).abs().mean()
+    assert len(result.history) == 18
+    assert result.env_steps == (18 + 2 * 3) * 24 * 10
+    assert not any("return/true" in metrics for metrics in result.history)
+
+
+def test_the_start_is_what_earns_more_in_a_short_try(trained, new, make_env, make_reversed):
+    for make in (make_env, make_reversed):
+        result = adapt(trained, new, make, **QUICK)
+        assert set(result.tries) == {"fresh", "trained"}
+        assert result.start == max(result.tries, key=result.tries.get)
+    # Where nothing has changed, three iterations from anew are no match for what is there.
+    assert adapt(trained, new, make_env, **QUICK).start == "trained"
+
+
+def test_a_given_start_is_not_tried(trained, new, make_env):
+    seen = []
+    result = adapt(
+        trained,
+        new,
+        make_env,
+        initial_policy="fresh",
+        on_iteration=lambda stage, *rest: seen.append(stage),
+        **QUICK,
+    )
+    assert (result.start, result.tries, set(seen)) == ("fresh", {}, {"adaptation"})
+
+
+def test_what_earns_less_than_the_policy_carried_over_is_not_returned(trained, new, make_env):
+    """A deviation that drowns everything, and one iteration: the fresh policy is no good."""
+    settings = {"initial_policy": "fresh", "rollouts": 12, "optimization": {"iterations": 1}}
+    result = adapt(trained, new, make_env, **settings)
+    assert result.kept == "carried over"
+    assert result.learned_return == result.carried_over_return
+    assert any("the latter is returned" in text for text in result.warnings)
+    env = make_env(3, 0)
+    torch.manual_seed(1)
+    kept = end(result.policy, trained, new, env)
+    torch.manual_seed(1)
+    torch.testing.assert_close(kept, end(trained.policy, trained, new, env))
+
+
+def test_policies_are_compared_in_the_same_episodes(trained, new, make_env):
+    training = own_adaptation._Training(trained, new, make_env, lambda *stage: None, 0)
+    assert training.learned_return(trained.policy) == training.learned_return(trained.policy)
+    state = torch.get_rng_state()
+    training.learned_return(trained.policy)
+    assert torch.equal(torch.get_rng_state(), state)
+
+
+def test_an_adaptation_is_that_of_its_seed(trained, new, make_reversed):
+    runs = [adapt(trained, new, make_reversed, seed=seed, **QUICK) for seed in (0, 0, 1)]
+    assert runs[0].learned_return == runs[1].learned_return != runs[2].learned_return
+
+
+def test_states_far_from_training_are_said(trained, new, make_env):
+    def distant(num_envs, seed):
+        env = make_env(num_envs, seed)
+        env.step_size = 25.0  # a step is twenty times the training range
+        return env
+
+    few = {"rollouts": 12, "optimization": {"iterations": 2}}
+    result = adapt(trained, new, distant, **few)
+    assert any("more than 3 training deviations" in text for text in result.warnings)
+    assert result.warnings == tuple(str(result).split("warning: ", 1)[1].split("\nwarning: "))
+    assert adapt(trained, new, make_env, **QUICK).warnings == ()
+
+
+def test_a_demonstration_far_from_training_is_said(trained, dataset, make_env):
+    strange = dataset(torch.tensor([[0.2], [30.0]]))
+    strange.observation[1] += 40.0
+    few = {"rollouts": 8, "optimization": {"iterations": 1}}
+    warnings = adapt(trained, strange, make_env, **few).warnings
+    assert any(text.startswith("demonstration 1 is FAR from the training") for text in warnings)
+    assert not any(text.startswith("demonstration 0") for text in warnings)
+
+
+def test_a_model_of_an_unknown_family_is_said(trained, new, make_env):
+    old = copy.deepcopy(trained)
+    old.family = None
+    few = {"rollouts": 12, "optimization": {"iterations": 1}}
+    assert (
+        "whether these demonstrations are of its family is unknown"
+        in (adapt(old, new, make_env, **few).warnings[0])
+    )
+
+
+def test_demonstrations_of_another_task_are_refused_before_anything(reach, new, make_env):
+    model = reach.model()
+    model.horizon = 12
+    with pytest.raises(ValueError, match=r"\(S, A, T\) = \(1, 1, 10\).*trained on \(1, 1, 12\)"):
+        adapt(model, new, make_env)
+
+
+def test_the_policy_reads_observation_and_context(trained, new, make_env):
+    few = {"rollouts": 12, "optimization": {"iterations": 1}}
+    policy = adapt(trained, new, make_env, **few).policy
+    batch = TensorDict({"observation": torch.zeros(2, 1), "context": torch.zeros(2, 2)}, [2])
+    assert policy(batch)["action"].shape == (2, 1)
