@@ -22,6 +22,7 @@ from omegaconf import DictConfig
 
 from pemirl_lab.cli import COMMANDS
 from pemirl_lab.runs.composition import CONF, override_key, plain, register_library
+from pemirl_lab.runs.memory import keep_freed_memory
 from pemirl_lab.runs.settings import parse
 from pemirl_lab.runs.tables import Table, read_table
 
@@ -32,7 +33,7 @@ def run(command: str, arguments: Sequence[str]) -> None:
     Raises:
         SystemExit: a wrong value, or an interruption; its message says what to do.
     """
-    # A group that is chosen is dropped with ~ in Hydra's language, and null is what one tries first.
+    # Hydra drops a group that was chosen with ~; null is what one tries first.
     given = ["~experiment" if text == "experiment=null" else text for text in arguments]
     if command == "reproduce":
         given = _expanded(given)
@@ -58,14 +59,15 @@ def _job(command: str) -> Callable[[DictConfig], None]:
 
 def execute(module: ModuleType, command: str, config: DictConfig) -> None:
     """Run a command's module on a composed configuration."""
-    # One thread: sums of floats depend on how many share them, so this makes a run's results those
-    # of its seed, whatever ``threads`` gives the simulator. On a busy machine more would only spin.
-    torch.set_num_threads(1)
     try:
         resolved = _row(config) if command == "reproduce" else plain(config)
         settings, own = parse(resolved, module.Own)
     except ValueError as error:
         sys.exit(f"pemirl {command}: {error}")
+    # Sums of floats depend on how many threads share them: with a fixed number, a run's results are
+    # those of its seed, whatever ``threads`` gives the simulator.
+    torch.set_num_threads(settings.torch_threads)
+    keep_freed_memory()
     signal.signal(signal.SIGTERM, _interrupt)
     try:
         module.run(settings, own)
