@@ -85,7 +85,7 @@ def quickstart(session: nox.Session) -> None:
 
 @nox.session
 def bench(session: nox.Session) -> None:
-    """Measure throughput, beside the raw engine; arguments (``--num-threads 2``) go to most."""
+    """Measure throughput on all domains; arguments (``--num-threads 2``) go to most."""
     install(session, ".[test]")
     results = Path("results/benchmarks")
     results.mkdir(parents=True, exist_ok=True)
@@ -96,8 +96,10 @@ def bench(session: nox.Session) -> None:
         session.run("python", "benchmarks/stepping.py", *options, env=env)
     output = ("--output", str(results / "integrators.json"))
     session.run("python", "benchmarks/integrators.py", *output, env=env)
-    output = ("--output", str(results / "training.json"))
-    session.run("python", "benchmarks/training.py", *output, *session.posargs, env=env)
+    for task in STEPPED:
+        output = ("--output", str(results / f"training_{task.split('/')[0]}.json"))
+        options = ("--task", task, *output, *session.posargs)
+        session.run("python", "benchmarks/training.py", *options, env=env)
 
 
 @nox.session(reuse_venv=False)

@@ -1,12 +1,14 @@
-"""Environment steps per second of meta-training, with the raw engine's in the same run.
+"""Environment steps per second of meta-training and of adaptation, beside the raw engine's.
 
-One iteration of Algorithm 1 collects whole episodes and does all its updates: encoder and reward,
-then the policy. Its rate is divided by that of MuJoCo's own batch with as many simulations and
-threads, under the controls that the policy drew in its last iteration: contacts cost time, so other
-controls would be other work. Repetitions are interleaved, so that a change in the machine's load
-meets all contenders, and medians count, the ratio's over pairs of neighbours::
+An iteration collects whole episodes and does all its updates: encoder and reward, then the policy,
+in meta-training (Algorithm 1); the policy alone in adaptation (Algorithm 2). Its rate is divided by
+that of MuJoCo's own batch with as many simulations and threads, under the controls that the policy
+drew in its last iteration: contacts cost time, so other controls would be other work. Repetitions
+are interleaved, so that a change in the machine's load meets all contenders, and medians count, the
+ratio's over pairs of neighbours. CPU time is that of all threads. The peak memory is that of a
+process of its own, which does two iterations::
 
-    python benchmarks/training.py --num-threads 2 --output training.json
+    python benchmarks/training.py --task ant/normal --num-threads 2 --output training_ant.json
 """
 
 from __future__ import annotations
@@ -20,115 +22,75 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from statistics import median
 from typing import Any
 
 import mujoco
+import numpy as np
 import torch
 import torchrl
 from mujoco.batch import Batch
-from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.envs import TransformedEnv
+from trainings import SETTINGS, TRAINED, Seconds, Setting, Timed, peak_memory
 
-from pemirl_envs import get_task, make, task_parameters
+from pemirl_envs import TaskEnv, get_task, make
 from pemirl_envs.simulation.mujoco_batch import available_cpus
 from pemirl_envs.simulation.timers import timers_off
-from pemirl_trl import InferContext, PEMIRLModel, Standardize
-from pemirl_trl.methods import PEMIRL, PEMIRLConfig
 
-CONTEXTS = 50  # per iteration, as in the paper
-ROLLOUTS = (8, 16)  # per context: this project's default, and the authors' code's
-
-Seconds = dict[str, float]
 Contender = Callable[[], Seconds]
+Controls = dict[str, np.ndarray]
 
 
-class TimedPEMIRL(PEMIRL):
-    """PEMIRL that keeps the seconds of its parts, and the actions of its last iteration."""
-
-    seconds: Seconds
-    actions: Tensor  # [N, T, A]
-    _updated: tuple[float, float]  # when encoder and reward began and finished
-
-    def iteration(self) -> dict[str, float]:
-        """One iteration; ``seconds`` holds the parts of the last one."""
-        start = time.perf_counter()
-        metrics = super().iteration()
-        end = time.perf_counter()
-        began, finished = self._updated
-        self.seconds = {
-            "encoder and reward": finished - began,
-            "policy": end - finished,
-            "collection": began - start,
-        }
-        return metrics
-
-    def _update_encoder_and_reward(self, rollouts: TensorDictBase) -> dict[str, float]:
-        self.actions = rollouts["action"]
-        began = time.perf_counter()
-        metrics = super()._update_encoder_and_reward(rollouts)
-        self._updated = began, time.perf_counter()
-        return metrics
+def recorded(env: TaskEnv, actions: Tensor) -> tuple[np.ndarray, list[Controls]]:
+    """The states at a reset, and for each step the engine's fields that the actions then set."""
+    data, controls = env.reset(), []
+    start = env.physics_state().numpy()
+    low, high = env.task.action_bounds
+    for action in actions.transpose(0, 1):
+        control = env.task.control(env.episodes.simulation.field, action.clamp(low, high))
+        controls.append({name: value.double().numpy().copy() for name, value in control.items()})
+        data = env.step(data.set("action", action))["next"].exclude("reward")
+    return start, controls
 
 
-def raw_engine(method: TimedPEMIRL, name: str, num_threads: int) -> Contender:
+def raw_engine(method: Timed, name: str, num_threads: int) -> Contender:
     """One episode of MuJoCo's batch under the controls of the method's last iteration."""
-    task = get_task(name)
-    num_envs = method.actions.shape[0]
-    batch = Batch(task.model, num_envs, num_threads)
-    low, high = task.action_bounds
+    env = make(name, method.actions.shape[0], seed=0, num_threads=num_threads)
+    batch = Batch(env.task.model, method.actions.shape[0], num_threads)
 
     def run() -> Seconds:
-        controls = method.actions.clamp(low, high).transpose(0, 1).double().contiguous().numpy()
+        states, controls = recorded(env, method.actions)
+        fields = {name: batch.bind(name) for name in controls[0]}
         start = time.perf_counter()
         with timers_off():  # as the environment does
-            batch.reset()
+            batch.state[:] = states
             for control in controls:
-                batch.ctrl[:] = control
-                batch.step(nstep=task.n_sub_steps)
+                for name, values in control.items():
+                    fields[name][:] = values
+                batch.step(None, env.task.n_sub_steps, env.task.stage)
         return {"whole": time.perf_counter() - start}
 
     return run
 
 
-def random_demonstrations(name: str, count: int) -> TensorDictBase:
-    """Rollouts of random actions: the work of an iteration does not depend on who acts."""
-    env = make(name, count, seed=0)
-    keys = ("observation", "action", ("next", "observation"))
-    rollouts = env.rollout(env.task.horizon).select(*keys)
-    rollouts.batch_size = [count]
-    return rollouts
-
-
-def meta_training(name: str, rollouts: int, num_threads: int) -> TimedPEMIRL:
-    """PEMIRL after its first iteration."""
-    tasks = task_parameters(name, "train_100")
-    experts = random_demonstrations(name, len(tasks))
-    observation, action = experts["observation"], experts["action"]
-    model = PEMIRLModel(
-        observation.shape[-1],
-        action.shape[-1],
-        action.shape[1],
-        standardize=Standardize.fit(observation),
-    )
-    env = make(name, CONTEXTS * rollouts, seed=0, num_threads=num_threads)
-    context = InferContext(model.encoder, experts, rollouts_per_context=rollouts, tasks=tasks)
-    config = PEMIRLConfig(rollouts_per_context=rollouts)
-    method = TimedPEMIRL(model, TransformedEnv(env, context), experts, config)
-
-    method.iteration()
-    return method
-
-
-def iteration(method: TimedPEMIRL) -> Contender:
+def iteration(method: Timed) -> Contender:
     """One iteration, with all updates."""
 
     def run() -> Seconds:
+        cpu = time.process_time()
         method.iteration()
-        return {"whole": sum(method.seconds.values()), **method.seconds}
+        spent = {"whole": sum(method.seconds.values()), **method.seconds}
+        return spent | {"cpu": time.process_time() - cpu}
 
     return run
+
+
+def peak_memory_alone(setting: Setting, *given: Any) -> int:
+    """:func:`peak_memory` of a process of its own, in MiB."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+        return process.submit(peak_memory, setting, *given).result()
 
 
 def measure(contenders: dict[str, Contender], repetitions: int) -> dict[str, list[Seconds]]:
@@ -142,35 +104,47 @@ def measure(contenders: dict[str, Contender], repetitions: int) -> dict[str, lis
     return seconds
 
 
+def training_row(steps: int, training: list[Seconds], engine: list[Seconds]) -> dict[str, Any]:
+    """Medians over the repetitions of so many environment steps each."""
+    whole = median(spent["whole"] for spent in training)
+    pairs = zip(engine, training, strict=True)
+    return {
+        "steps_per_second": round(steps / whole),
+        "ratio_to_raw_engine": round(median(e["whole"] / t["whole"] for e, t in pairs), 3),
+        "seconds_per_iteration": round(whole, 3),
+        "cpu_us_per_step": round(median(spent["cpu"] for spent in training) / steps * 1e6, 2),
+        "share_of_time": {
+            part: round(median(spent[part] / spent["whole"] for spent in training), 3)
+            for part in training[0]
+            if part not in ("whole", "cpu")
+        },
+    }
+
+
 def report(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Measure, and relate each meta-training to the raw engine with as many simulations."""
+    """Measure, and relate each training to the raw engine with as many simulations."""
     name, threads = arguments.task, arguments.num_threads
-    horizon = get_task(name).horizon
+    given = (name, arguments.method)
+    # First, while this process is small: what a parent needs at most counts for its children too.
+    memory = {setting: peak_memory_alone(setting, *given, threads) for setting in SETTINGS}
     contenders: dict[str, Contender] = {}
-    for k in ROLLOUTS:
-        method = meta_training(name, k, threads)
-        contenders[f"meta-training, {CONTEXTS} x {k}"] = iteration(method)
-        contenders[f"raw engine, {CONTEXTS * k}"] = raw_engine(method, name, threads)
+    for setting in SETTINGS:
+        method = setting.start(*given, setting.rollouts, threads)
+        contenders[setting.title] = iteration(method)
+        contenders[setting.engine] = raw_engine(method, name, threads)
     measured = measure(contenders, arguments.repetitions)
     rows: dict[str, dict[str, Any]] = {}
-    for k in ROLLOUTS:
-        steps = CONTEXTS * k * horizon
-        engine = [spent["whole"] for spent in measured[f"raw engine, {CONTEXTS * k}"]]
-        training = measured[f"meta-training, {CONTEXTS} x {k}"]
-        whole = [spent["whole"] for spent in training]
-        pairs = zip(engine, whole, strict=True)
-        rows[f"raw engine, {CONTEXTS * k}"] = {"steps_per_second": round(steps / median(engine))}
-        rows[f"meta-training, {CONTEXTS} x {k}"] = {
-            "steps_per_second": round(steps / median(whole)),
-            "ratio_to_raw_engine": round(median(e / w for e, w in pairs), 3),
-            "share_of_time": {
-                part: round(median(s[part] / s["whole"] for s in training), 3)
-                for part in training[0]
-                if part != "whole"
-            },
+    for setting in SETTINGS:
+        steps = setting.contexts * setting.rollouts * get_task(name).horizon
+        engine, training = measured[setting.engine], measured[setting.title]
+        rows[setting.engine] = {
+            "steps_per_second": round(steps / median(spent["whole"] for spent in engine))
         }
+        rows[setting.title] = training_row(steps, training, engine)
+        rows[setting.title]["peak_memory_mib"] = memory[setting]
     return {
         "task": name,
+        "method": arguments.method,
         "num_threads": threads,
         "torch_threads": torch.get_num_threads(),
         "repetitions": arguments.repetitions,
@@ -188,12 +162,14 @@ def report(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def table(rows: dict[str, dict[str, Any]]) -> str:
     """The rows, for people."""
-    lines = [f"{'':24}{'steps/s':>10}{'of raw':>8}  time goes to"]
+    lines = [f"{'':24}{'steps/s':>10}{'of raw':>8}{'s':>8}{'MiB':>7}  time goes to"]
     for name, row in rows.items():
         ratio = f"{row['ratio_to_raw_engine']:.0%}" if "ratio_to_raw_engine" in row else ""
         parts = sorted(row.get("share_of_time", {}).items(), key=lambda item: -item[1])
         split = ", ".join(f"{part} {share:.0%}" for part, share in parts)
-        lines.append(f"{name:24}{row['steps_per_second']:>10,}{ratio:>8}  {split}".rstrip())
+        seconds, memory = row.get("seconds_per_iteration", ""), row.get("peak_memory_mib", "")
+        figures = f"{row['steps_per_second']:>10,}{ratio:>8}{seconds:>8}{memory:>7}"
+        lines.append(f"{name:24}{figures}  {split}".rstrip())
     return "\n".join(lines) + "\n"
 
 
@@ -210,6 +186,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--task", default="point_maze/left")
+    parser.add_argument("--method", default="pemirl", choices=TRAINED, help="of meta-training")
     parser.add_argument(
         "--num-threads", type=int, default=available_cpus(), help="of the simulations"
     )

@@ -21,6 +21,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from pemirl_lab.runs.composition import CONF, override_key, plain, register_library
+from pemirl_lab.runs.memory import keep_freed_memory
 from pemirl_lab.runs.own_task import is_own, parse_words
 from pemirl_lab.runs.places import RunRefused
 from pemirl_lab.runs.settings import parse
@@ -67,14 +68,14 @@ def _job(command: str) -> Callable[[DictConfig], None]:
 
 def execute(module: ModuleType, command: str, config: DictConfig) -> None:
     """Run a command's module on a composed configuration."""
-    # One thread: sums of floats depend on how many share them, so this makes a run's results those
-    # of its seed, whatever ``threads`` gives the simulator. On a busy machine more would only spin.
-    torch.set_num_threads(1)
     try:
         resolved = _row(config) if command == "reproduce" else plain(config)
         settings, own = parse(resolved, module.Own)
     except ValueError as error:
         sys.exit(f"pemirl {command}: {error}")
+    # Sums of floats depend on how many threads share them: with a fixed number, a run's results are
+    # those of its seed, whatever ``threads`` gives the simulator.
+    torch.set_num_threads(settings.torch_threads)
     _resumable([command, *sys.argv[1:]], settings.run_dir, lambda: module.run(settings, own))
 
 
@@ -106,6 +107,7 @@ def _is_ours(error: Exception) -> bool:
 
 def _resumable(words: Sequence[str], run_dir: str, work: Callable[[], object]) -> None:
     """Do the work; where it is interrupted, say how to go on."""
+    keep_freed_memory()
     signal.signal(signal.SIGTERM, _interrupt)
     try:
         work()

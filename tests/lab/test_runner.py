@@ -6,8 +6,10 @@ import shlex
 import signal
 
 import pytest
+import torch
 
 from pemirl_lab.cli import COMMANDS
+from pemirl_lab.commands import quickstart
 from pemirl_trl.methods import PEMIRL
 
 from .conftest import OWN
@@ -29,6 +31,7 @@ FEW = ("preset=smoke", "threads=1", "logger=null", "run_dir=run", "training.iter
         ("+training.typo=1", "unknown key training.typo"),
         ("+typo=1", "unknown keys typo"),
         ("algorithm=bc", "algorithm=bc: expected one of pemirl, airl, meta_infogail, meta_il"),
+        ("torch_threads=0", "torch_threads=0: expected greater than or equal to 1"),
         ("evaluation.episodes=0", "evaluation.episodes=0: expected greater than or equal to 1"),
         ("seed=-1", "seed=-1: expected greater than or equal to 0"),
         ("info_estimator=mine", "info_estimator=mine: expected 'lemma2' or 'public_code'"),
@@ -52,6 +55,19 @@ def test_a_wrong_value_is_named_as_it_was_given_and_nothing_is_written(
         command("quickstart", ["preset=smoke", override])
     assert str(refused.value).startswith(f"pemirl quickstart: {message}")
     assert list(here.iterdir()) == []
+
+
+@pytest.mark.parametrize(("given", "count"), [([], 1), (["torch_threads=2"], 2)])
+def test_the_learner_has_as_many_threads_as_it_is_given(command, here, monkeypatch, given, count):
+    seen = []
+    monkeypatch.setattr(
+        quickstart, "run", lambda settings, own: seen.append(torch.get_num_threads())
+    )
+    try:
+        command("quickstart", given)
+    finally:
+        torch.set_num_threads(1)  # as tests/conftest.py has it
+    assert seen == [count]
 
 
 def test_all_wrong_values_are_named_at_once(command):

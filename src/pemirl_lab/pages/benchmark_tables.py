@@ -45,8 +45,14 @@ def stepping_table(files: Mapping[str, Benchmark]) -> str:
 
 
 def training_table(files: Mapping[str, Benchmark]) -> str:
-    """Rates of whole iterations of meta-training, over the raw engine's."""
-    file = files["training"]
+    """Rates of whole iterations of training, over the raw engine's: a table for each domain."""
+    chosen = [file for name, file in sorted(files.items()) if name.startswith("training_")]
+    if not chosen:
+        raise KeyError("training_<domain>.json")
+    return "\n".join(map(_training_table, chosen))
+
+
+def _training_table(file: Benchmark) -> str:
     lines = []
     for name, row in file["results"].items():
         parts = sorted(row.get("share_of_time", {}).items(), key=lambda part: -part[1])

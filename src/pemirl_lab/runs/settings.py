@@ -85,6 +85,8 @@ class Settings:
     Attributes:
         seed: of everything that is drawn.
         threads: of the simulator; results do not depend on it.
+        torch_threads: of the learner. Sums of floats depend on how many share them: results are
+            bit-exact for a fixed number, 1 for all that is published. More pay on idle cores alone.
         logger: of the metrics.
         checkpoint_every: iterations between checkpoints.
         run_dir: where a run writes.
@@ -108,6 +110,7 @@ class Settings:
 
     seed: SeedNumber
     threads: Count
+    torch_threads: Count
     logger: Literal["csv", "tensorboard"] | None
     checkpoint_every: Count
     run_dir: str

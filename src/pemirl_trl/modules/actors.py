@@ -10,10 +10,11 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, dispatch
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
-from torchrl.modules import MLP, ProbabilisticActor
+from torchrl.modules import ProbabilisticActor
 
 from pemirl_trl.modules.context_encoder import diagonal_normal
 from pemirl_trl.modules.direct import DirectModule
+from pemirl_trl.modules.network import RowwiseMLP
 from pemirl_trl.modules.reading import beside, read
 from pemirl_trl.modules.standardize import Standardize
 
@@ -92,12 +93,7 @@ class ContextPolicy(ProbabilisticActor):
         context_key: NestedKey = "context",
         log_prob_key: NestedKey = "action_log_prob",
     ) -> None:
-        net = MLP(
-            in_features=observation_dim + context_dim,
-            out_features=action_dim,
-            num_cells=list(hidden),
-            activation_class=activation,
-        )
+        net = RowwiseMLP(observation_dim + context_dim, action_dim, hidden, activation)
         log_scale = torch.full((action_dim,), math.log(initial_scale))
         gaussian = _GaussianNet(
             net,
@@ -200,12 +196,7 @@ class ContextValue(TensorDictModuleBase):
         context_key: NestedKey = "context",
         value_key: NestedKey = "state_value",
     ) -> None:
-        net = MLP(
-            in_features=observation_dim + context_dim + 1,
-            out_features=1,
-            num_cells=list(hidden),
-            activation_class=activation,
-        )
+        net = RowwiseMLP(observation_dim + context_dim + 1, 1, hidden, activation)
         super().__init__()
         self.module = _ValueNet(net, standardize or Standardize.identity(observation_dim), horizon)
         self.observation_key: NestedKey = "observation"

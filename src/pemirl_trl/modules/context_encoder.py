@@ -18,9 +18,9 @@ from tensordict.nn import (
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
 from torch.distributions import Independent, Normal
-from torchrl.modules import MLP
 
 from pemirl_trl.modules.direct import DirectModule
+from pemirl_trl.modules.network import RowwiseMLP
 from pemirl_trl.modules.reading import trajectories_of
 from pemirl_trl.modules.standardize import Standardize
 
@@ -207,11 +207,8 @@ class ContextEncoder(_GaussianContext):
         context_key: NestedKey = "context",
     ) -> None:
         head = _GaussianHead(context_dim, scale_depends_on_input, initial_scale)
-        net = MLP(
-            in_features=horizon * (observation_dim + action_dim),
-            out_features=head.in_features,
-            num_cells=list(hidden),
-            activation_class=activation,
+        net = RowwiseMLP(
+            horizon * (observation_dim + action_dim), head.in_features, hidden, activation
         )
         flat = _FlatTrajectoryNet(
             net, head, standardize or Standardize.identity(observation_dim), horizon
@@ -276,18 +273,8 @@ class MaskedContextEncoder(_GaussianContext):
     ) -> None:
         head = _GaussianHead(context_dim, scale_depends_on_input, initial_scale)
         width = hidden[-1]
-        step_net = MLP(
-            in_features=observation_dim + action_dim,
-            out_features=width,
-            num_cells=list(hidden),
-            activation_class=activation,
-        )
-        net = MLP(
-            in_features=width,
-            out_features=head.in_features,
-            num_cells=[width],
-            activation_class=activation,
-        )
+        step_net = RowwiseMLP(observation_dim + action_dim, width, hidden, activation)
+        net = RowwiseMLP(width, head.in_features, [width], activation)
         masked = _MaskedTrajectoryNet(
             step_net, net, head, standardize or Standardize.identity(observation_dim)
         )

@@ -8,9 +8,9 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import nn
-from torchrl.modules import MLP
 
 from pemirl_trl.functional import logit_expert
+from pemirl_trl.modules.network import RowwiseMLP
 from pemirl_trl.modules.reading import REWARD, read
 from pemirl_trl.modules.reward import ShapedReward
 from pemirl_trl.modules.standardize import Standardize
@@ -139,12 +139,7 @@ class GAILDiscriminator(TensorDictModuleBase):
         self.in_keys: list[NestedKey] = [*self.role_keys.values()]
         self.out_keys: list[NestedKey] = [self.reward_key, self.logit_key]
         self.standardize = standardize or Standardize.identity(observation_dim)
-        self.net = MLP(
-            in_features=observation_dim + action_dim,
-            out_features=1,
-            num_cells=list(hidden),
-            activation_class=activation,
-        )
+        self.net = RowwiseMLP(observation_dim + action_dim, 1, hidden, activation)
 
     @property
     def role_keys(self) -> dict[str, NestedKey]:

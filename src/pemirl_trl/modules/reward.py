@@ -8,9 +8,9 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
-from torchrl.modules import MLP
 
 from pemirl_trl.functional import shaped_reward
+from pemirl_trl.modules.network import RowwiseMLP
 from pemirl_trl.modules.reading import beside, read
 from pemirl_trl.modules.standardize import Standardize
 
@@ -82,12 +82,7 @@ class ShapedReward(TensorDictModuleBase):
         self.standardize = standardize or Standardize.identity(observation_dim)
         read = observation_dim if self.reward_features is None else len(self.reward_features)
         self.reward_net, self.potential_net = (
-            MLP(
-                in_features=features + context_dim,
-                out_features=1,
-                num_cells=list(hidden),
-                activation_class=activation,
-            )
+            RowwiseMLP(features + context_dim, 1, hidden, activation)
             for features in (read, observation_dim)
         )
 

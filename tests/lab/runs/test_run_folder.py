@@ -87,6 +87,13 @@ def test_what_results_do_not_depend_on_may_change(settings, smoke, here):
     assert folder.checkpoint_every == 7
 
 
+def test_results_depend_on_the_learners_threads_and_so_do_runs(settings, smoke, here):
+    shutil.copytree(smoke[0] / "smoke", "smoke")
+    other, _ = settings("quickstart", "preset=smoke", "run_dir=smoke", "torch_threads=2")
+    with pytest.raises(ValueError, match="smoke holds a run with another torch_threads: give"):
+        RunFolder.of(other)
+
+
 def test_a_folder_in_which_nothing_began_takes_the_right_values(here):
     """A wrong name of a file is refused after the folder was claimed: the right one is not."""
     claim({"demonstrations": "typo"}).release()
