@@ -14,6 +14,7 @@ from hydra.errors import HydraException
 import pemirl_envs
 from pemirl_lab.cli import COMMANDS, OTHERS
 from pemirl_lab.runs.composition import compose, plain
+from pemirl_lab.runs.own_task import is_own, parse_words
 from pemirl_lab.runs.settings import parse
 from pemirl_lab.runs.tables import read_table, table_names
 from pemirl_trl import DemonstrationDataset
@@ -84,6 +85,10 @@ def check(words):
     """Raise unless ``pemirl WORDS`` is a command whose values are all legal."""
     command, *given = words
     assert command in COMMANDS, f"no command {command}"
+    if is_own(given):  # on an environment of the user's own
+        module = importlib.import_module(f"pemirl_lab.commands.{command}")
+        parse_words(given, module.OwnEnvironment, rest=True)
+        return
     chosen = [w.split(",")[0] for w in given if not w.startswith("-") and "hydra" not in w]
     own = importlib.import_module(f"pemirl_lab.commands.{command}").Own
     if command == "reproduce":

@@ -30,6 +30,7 @@ from pemirl_lab.pages.benchmark_tables import benchmark_parts
 from pemirl_lab.pages.comparison import interval_plot, stage_curves
 from pemirl_lab.pages.convergence import Stage, convergence_table
 from pemirl_lab.pages.figures import save_figure
+from pemirl_lab.pages.own_tasks import own_task_parts
 from pemirl_lab.pages.tables import (
     Column,
     by_seed,
@@ -159,6 +160,8 @@ def generate(root: Path) -> Pages:
                 raise ValueError(f"{page}, part {part!r}: {error}") from error
     for page, names in values.get("benchmarks", {}).items():
         pages.parts.setdefault(page, {}).update(benchmark_parts(root / "results/benchmarks", names))
+    for page, names in values.get("own_tasks", {}).items():
+        pages.parts.setdefault(page, {}).update(own_task_parts(root / "results/own_tasks", names))
     return pages
 
 
