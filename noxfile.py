@@ -61,6 +61,18 @@ def long(session: nox.Session) -> None:
 
 
 @nox.session
+def robustness(session: nox.Session) -> None:
+    """Damage files, values and runs at random, and keep the counts in results/robustness.txt."""
+    install(session, "-e", ".[test]")
+    Path("results").mkdir(exist_ok=True)
+    with open("results/robustness.txt", "w", encoding="utf-8") as counts:
+        options = ("-q", "--no-header", "-rP", "--show-capture=stdout", "-m", "long or not long")
+        session.run(
+            "pytest", *options, "tests/fuzz", *session.posargs, env=DETERMINISTIC, stdout=counts
+        )
+
+
+@nox.session
 def lint(session: nox.Session) -> None:
     """Check style, formatting and the direction of imports."""
     install(session, "ruff", "import-linter")

@@ -16,6 +16,20 @@ import pytest
 from safetensors.torch import load_file
 
 CODE = "from pemirl_lab.cli import main; main()"
+# A slow disk, as far as a process can tell: what makes writing safe takes its time, so that kills
+# fall between the steps of it.
+SLOW = """
+import os, time
+def slowly(call):
+    def slow(*arguments, **options):
+        time.sleep(0.02)
+        result = call(*arguments, **options)
+        time.sleep(0.02)
+        return result
+    return slow
+for name in ("fsync", "replace", "rename", "unlink", "mkdir", "rmdir"):
+    setattr(os, name, slowly(getattr(os, name)))
+"""
 ALONE = os.environ | {"MUJOCO_GL": "disable", "CUDA_VISIBLE_DEVICES": "", "PYTHONHASHSEED": "0"}
 SMALL = (
     "preset=smoke", "threads=1", "seed=3", "training.iterations=12",
@@ -29,11 +43,11 @@ COMMANDS = {
         "expert_training.tasks_per_batch=4", "expert_training.rollouts_per_task=2",
     ),
 }  # fmt: skip
-KILLS = 12  # of each command
+KILLS = 17  # of each command, on each disk
 
 
-def begin(command, cwd):
-    words = [sys.executable, "-c", CODE, command, *SMALL, *COMMANDS[command]]
+def begin(command, cwd, code=CODE):
+    words = [sys.executable, "-c", code, command, *SMALL, *COMMANDS[command]]
     with (cwd.parent / f"{cwd.name}.log").open("ab") as log:
         return subprocess.Popen(words, cwd=cwd, env=ALONE, stdout=log, stderr=log)
 
@@ -59,12 +73,12 @@ def weights(folder: Path):
     return tensors, curves, rows
 
 
-def killed_often(command, folder, whole, draw):
+def killed_often(command, folder, whole, draw, code):
     """Begin a run again and again, killing it, until one comes to its end: how many kills."""
     folder.mkdir()
     kills = 0
     while True:
-        process = begin(command, folder)
+        process = begin(command, folder, code)
         try:
             process.wait(timeout=draw.uniform(0.4, 0.95) * whole)
         except subprocess.TimeoutExpired:
@@ -77,19 +91,21 @@ def killed_often(command, folder, whole, draw):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("disk", ["", SLOW], ids=["disk", "slow disk"])
 @pytest.mark.parametrize("command", COMMANDS)
-def test_no_kill_changes_a_result(command, tmp_path):
+def test_no_kill_changes_a_result(command, disk, tmp_path):
     alone = tmp_path / "alone"
     alone.mkdir()
     ended_well(begin(command, alone), alone)
     start = time.perf_counter()
-    ended_well(begin(command, alone), alone)  # it has nothing left to do: what starting takes
+    ended_well(begin(command, alone, disk + CODE), alone)  # nothing is left: what starting takes
     starting = time.perf_counter() - start
     draw, kills, runs = random.Random(command), 0, 0
     whole = 2 * starting
     while kills < KILLS:
         folder = tmp_path / f"killed{runs}"
-        kills += killed_often(command, folder, whole, draw)
+        kills += killed_often(command, folder, whole, draw, disk + CODE)
         runs += 1
         assert weights(folder) == weights(alone)
-    print(f"{command}: {kills} kills survived, {runs} runs as the one that was left alone")
+    where = " on a slow disk" if disk else ""
+    print(f"{command}{where}: {kills} kills, {runs} runs, all as the one that was left alone")

@@ -202,7 +202,7 @@ def test_benchmarks_are_tables_of_their_files(command, root):
     assert "| `maze/left` | 64 | 12,345 | 85% | 70% | 65% |\n" in text
     assert "2 CPUs; mujoco 3.17.0; torch 2.13.0; repetitions: maze/left: 3.\n" in text
     pages.write_text(f"{PAGES}\nbenchmarks: {{docs/page.md: [training]}}\n", encoding="utf-8")
-    with pytest.raises(ValueError, match="lacks 'training_<domain>.json'; `nox -s bench` writes"):
+    with pytest.raises(ValueError, match=r"lacks 'training_<domain>\.json'; `nox -s bench` writes"):
         command("--write")
     pages.write_text(f"{PAGES}\nbenchmarks: {{docs/page.md: [speed]}}\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"benchmark tables \['speed'\]; expected some of"):
