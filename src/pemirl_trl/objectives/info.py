@@ -149,45 +149,13 @@ class InfoLoss(KeyedLoss):
             for role in ("observation", "action", "next_observation", "context")
         )
         require_time(observation, "InfoLoss", "observation")
-        rollouts = observation.shape[0]
-        groups, rest = divmod(rollouts, self.rollouts_per_context)
-        if rest:
-            raise ValueError(
-                f"got {rollouts} rollouts, which {self.rollouts_per_context} rollouts per context "
-                "do not divide"
-            )
-        m = per_rollout(context.detach(), time_dim=1).view(groups, self.rollouts_per_context, -1)
-        if not torch.equal(m, m[:, :1].expand_as(m)):
-            raise ValueError(
-                f"the {self.rollouts_per_context} rollouts of a context must stand in a row and "
-                "share it; got groups with different contexts"
-            )
-        inputs = TensorDict({"observation": observation, "action": action}, [rollouts])
-        with self.encoder_network_params.to_module(
-            self.encoder_network, preserve_module_state=False
-        ):
-            log_q = self.encoder_network.get_dist(inputs).log_prob(m.flatten(0, 1))  # [N]
-        log_q = mixed_with_prior(log_q, _log_prior(m.flatten(0, 1)), self.prior_fraction)
-        inputs = TensorDict(
-            {
-                self.reward_network.observation_key: observation,
-                self.reward_network.next_observation_key: next_observation,
-                self.reward_network.context_key: context.detach(),
-            },
-            observation.shape[:2],
-        )
-        with self.reward_network_params.to_module(self.reward_network, preserve_module_state=False):
-            outputs = self.reward_network(inputs)
-        shaped = self.summand == "shaped"
-        key = self.reward_network.shaped_reward_key if shaped else self.reward_network.reward_key
-        per_step = outputs[key].squeeze(-1)  # [N, T]
-        returns = per_step.mean(-1) if self.time_mean else per_step.sum(-1)
-        shape = (groups, self.rollouts_per_context)
-        pairs = (log_q.view(shape), returns.view(shape))
+        m = self._grouped(context.detach())  # [M, K, D]
+        log_q = self._log_q(observation, action, m.flatten(0, 1)).view(m.shape[:2])
+        returns = self._returns(observation, next_observation, context.detach()).view(m.shape[:2])
         if self.form == "tilted":
-            loss_reward = tilted_info_reward_loss(*pairs)
+            loss_reward = tilted_info_reward_loss(log_q, returns)
         else:
-            loss_reward = info_reward_loss(*pairs, normalize=self.normalize)
+            loss_reward = info_reward_loss(log_q, returns, normalize=self.normalize)
         return TensorDict(
             {
                 "loss_info_encoder": info_encoder_loss(log_q),
@@ -195,6 +163,48 @@ class InfoLoss(KeyedLoss):
                 "log_q": log_q.detach().mean(),
             }
         )
+
+    def _grouped(self, context: Tensor) -> Tensor:
+        """One m for each rollout, ``[M, K, D]``; raise unless the K of a context share it."""
+        rollouts, k = context.shape[0], self.rollouts_per_context
+        groups, rest = divmod(rollouts, k)
+        if rest:
+            raise ValueError(
+                f"got {rollouts} rollouts, which {k} rollouts per context do not divide"
+            )
+        m = per_rollout(context, time_dim=1).view(groups, k, -1)
+        if not torch.equal(m, m[:, :1].expand_as(m)):
+            raise ValueError(
+                f"the {k} rollouts of a context must stand in a row and share it; got groups with "
+                "different contexts"
+            )
+        return m
+
+    def _log_q(self, observation: Tensor, action: Tensor, m: Tensor) -> Tensor:
+        """Log of q_psi(m|tau), mixed with the prior where that is asked for: ``[N]``."""
+        inputs = TensorDict({"observation": observation, "action": action}, [len(m)])
+        with self.encoder_network_params.to_module(
+            self.encoder_network, preserve_module_state=False
+        ):
+            log_q = self.encoder_network.get_dist(inputs).log_prob(m)
+        return mixed_with_prior(log_q, _log_prior(m), self.prior_fraction)
+
+    def _returns(self, observation: Tensor, next_observation: Tensor, context: Tensor) -> Tensor:
+        """R_theta(tau, m), of f or of r, the sum or the mean over time of each rollout: ``[N]``."""
+        network = self.reward_network
+        inputs = TensorDict(
+            {
+                network.observation_key: observation,
+                network.next_observation_key: next_observation,
+                network.context_key: context,
+            },
+            observation.shape[:2],
+        )
+        with self.reward_network_params.to_module(network, preserve_module_state=False):
+            outputs = network(inputs)
+        shaped = self.summand == "shaped"
+        per_step = outputs[network.shaped_reward_key if shaped else network.reward_key].squeeze(-1)
+        return per_step.mean(-1) if self.time_mean else per_step.sum(-1)
 
 
 def _log_prior(m: Tensor) -> Tensor:
