@@ -28,15 +28,10 @@ loss_*                   []                       every loss; its other outputs 
 ======================== =========== ============ =============================================
 """
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from pemirl_trl.data import DemonstrationDataset, Negatives, Provenance
-from pemirl_trl.methods import (
-    Adaptation,
-    Inference,
-    adapt,
-    infer,
-    meta_train,
-    wrap_gymnasium,
-)
 from pemirl_trl.modules import (
     AIRLDiscriminator,
     ContextEncoder,
@@ -63,6 +58,16 @@ from pemirl_trl.objectives import (
 from pemirl_trl.optim import TrustRegionOptimizer, TrustRegionResult
 from pemirl_trl.pretrained import load_model, save_model
 from pemirl_trl.transforms import InferContext, LearnedReward, SampleTasks
+
+if TYPE_CHECKING:
+    from pemirl_trl.methods import (
+        Adaptation,
+        Inference,
+        adapt,
+        infer,
+        meta_train,
+        wrap_gymnasium,
+    )
 
 __version__ = "0.1.0"
 
@@ -103,3 +108,14 @@ __all__ = [
     "save_model",
     "wrap_gymnasium",
 ]
+
+# These bring TorchRL's collectors, which warn of their own deprecated classes at import: whoever
+# composes losses in a trainer of theirs has no need of them.
+_CALLS = ("Adaptation", "Inference", "adapt", "infer", "meta_train", "wrap_gymnasium")
+
+
+def __getattr__(name: str) -> Any:
+    """Import the calls for a task of one's own when they are asked for (PEP 562)."""
+    if name in _CALLS:
+        return getattr(importlib.import_module("pemirl_trl.methods"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

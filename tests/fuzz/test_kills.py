@@ -73,21 +73,21 @@ def weights(folder: Path):
     return tensors, curves, rows
 
 
-def killed_often(command, folder, whole, draw, code):
-    """Begin a run again and again, killing it, until one comes to its end: how many kills."""
+def killed_often(command, folder, whole, draw, code, most):
+    """Begin a run again and again, killing it up to ``most`` times; how often it was."""
     folder.mkdir()
-    kills = 0
-    while True:
+    for kills in range(most):
         process = begin(command, folder, code)
         try:
             process.wait(timeout=draw.uniform(0.4, 0.95) * whole)
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGKILL)
             process.wait()
-            kills += 1
         else:
             ended_well(process, folder)
             return kills
+    ended_well(begin(command, folder, code), folder)
+    return most
 
 
 @pytest.mark.long
@@ -104,7 +104,7 @@ def test_no_kill_changes_a_result(command, disk, tmp_path):
     whole = 2 * starting
     while kills < KILLS:
         folder = tmp_path / f"killed{runs}"
-        kills += killed_often(command, folder, whole, draw, disk + CODE)
+        kills += killed_often(command, folder, whole, draw, disk + CODE, KILLS - kills)
         runs += 1
         assert weights(folder) == weights(alone)
     where = " on a slow disk" if disk else ""

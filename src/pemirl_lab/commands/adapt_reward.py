@@ -4,7 +4,7 @@
     pemirl adapt_reward experiment=ant       # of the run of pemirl meta_train experiment=ant
     pemirl adapt_reward method=airl          # of the run of pemirl meta_train method=airl
     pemirl adapt_reward test_demonstrations=my_demonstration.safetensors
-    pemirl adapt_reward model_file=R/model.safetensors test_demonstrations=ONE env=my:make_env
+    pemirl adapt_reward model_file=M test_demonstrations=ONE env=my:make_env
 
 With ``env=`` it is an environment of your own, and the settings follow from the demonstrations; see
 ``pemirl meta_train``. The start is chosen by short tries unless ``initial_policy=`` says it, and
