@@ -61,8 +61,10 @@ def test_a_second_process_is_refused_while_the_first_is_at_work(here):
 
 def test_a_process_may_come_back_to_its_folder_and_let_others_have_it(here):
     first, second = claim(), claim()
-    for folder in (first, second):
-        folder.release()
+    first.release()
+    assert second._lock.is_locked  # it is held until the last of them has let go
+    second.release()
+    assert not second._lock.is_locked
 
 
 def test_a_folder_of_another_configuration_is_refused(settings, smoke, here):
