@@ -46,7 +46,8 @@ def own_coverage(
         rollouts = whole_episodes(env, None, d.horizon)
         env.close()
     keys = ("observation", "action", ("next", "observation"))
-    random = rollouts.select(*keys).reshape(-1).expand(len(d), -1)
+    flat = rollouts.select(*keys).reshape(-1)
+    random = flat.expand(len(d), len(flat))
     demonstrated = TensorDict(d.trajectories().to_dict(), [len(d), d.horizon])
     coverage = {"random": random, "demonstrated": demonstrated}
     task = task_parameters(d)
