@@ -8,7 +8,7 @@ import torch
 
 from pemirl_trl.files import read_weights, save_weights, write_tensors
 from pemirl_trl.modules import ModelConfig, PEMIRLModel, TrainingFamily
-from pemirl_trl.pretrained import load_model, save_model
+from pemirl_trl.pretrained import load_model, save_model, zoo
 
 GOLDEN = Path(__file__).parent / "golden" / "file_version_1"
 SIZES = {"context_dim": 2, "encoder_hidden": (5,), "policy_hidden": (4,), "reward_hidden": (3,)}
@@ -113,6 +113,25 @@ def test_weights_of_something_else_are_refused(tmp_path):
     save_weights(tmp_path / "w", {"net": torch.nn.Linear(1, 1)}, {"task": "toy"})
     with pytest.raises(ValueError, match=r"/w holds weights \['task'\], expected those of a model"):
         load_model(tmp_path / "w")
+
+
+# --- by name -----------------------------------------------------------------------------------
+
+
+def test_a_name_is_a_model_of_the_zoo_unless_a_file_has_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "point_maze").mkdir()  # a folder is no model
+    assert load_model("point_maze").horizon == 100
+    (tmp_path / "point_maze").rmdir()
+    save_model("point_maze", small())
+    assert load_model("point_maze").horizon == 4
+
+
+@pytest.mark.parametrize("name", ["pointmaze", "runs/no/model.safetensors"])
+def test_a_wrong_name_is_told_the_right_ones(name):
+    message = f"no file {name}, and no model of this name; there are .*{', '.join(zoo())}"
+    with pytest.raises(FileNotFoundError, match=message):
+        load_model(name)
 
 
 def with_family(path, change=lambda stated: stated):

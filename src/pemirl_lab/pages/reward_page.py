@@ -15,12 +15,6 @@ from pemirl_lab.pages.figures import measures_of_tasks
 from pemirl_trl import DemonstrationDataset
 from pemirl_trl.evaluation import RewardReport
 
-METRICS = {
-    "spearman": "Spearman",
-    "pearson": "Pearson",
-    "epic": "EPIC",
-    "feasible": "feasible distance",
-}
 EXPLAINED = (
     "Spearman, Pearson: correlation with the true reward, shaping and all; 1 is perfect.",
     "EPIC (Gleave et al., ICLR 2021): 0 where the two rewards differ by scale, constant and "
@@ -88,7 +82,8 @@ class RewardPage:
         head, *rows = self.report.table()
         captioned = [html.figure(drawn, caption) for drawn, caption in self.figures.values()]
         each = html.figure(
-            measures_of_tasks(self._per_task()), "Each dot is a task; black: the mean over tasks."
+            measures_of_tasks(self.report.by_metric()),
+            "Each dot is a task; black: the mean over tasks.",
         )
         parts = [
             html.paragraph(self._introduction()),
@@ -126,12 +121,3 @@ class RewardPage:
         columns = list(next(iter(self.returns.values())))
         rows = [[kind, *(f"{v:.2f}" for v in r.values())] for kind, r in self.returns.items()]
         return ["", *columns], rows
-
-    def _per_task(self) -> dict[str, dict[str, list[float]]]:
-        """Metric to ``"reward on coverage"`` to its value of each task."""
-        found: dict[str, dict[str, list[float]]] = {}
-        for measure, values in self.report.per_task.items():
-            if measure.metric in METRICS:
-                columns = found.setdefault(METRICS[measure.metric], {})
-                columns[f"{measure.reward} on {measure.where}"] = values.tolist()
-        return found

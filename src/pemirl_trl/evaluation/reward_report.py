@@ -78,6 +78,15 @@ class RewardReport:
             lines.append([*place, *(self._cell(measure) for measure in measures)])
         return lines
 
+    def by_metric(self) -> dict[str, dict[str, Tensor]]:
+        """Heading of each metric to what was measured, such as ``r on expert``, to ``[C]``."""
+        found: dict[str, dict[str, Tensor]] = {}
+        for metric, heading in _COLUMNS.items():
+            for measure, values in self.per_task.items():
+                if measure.metric == metric:
+                    found.setdefault(heading, {})[f"{measure.reward} on {measure.where}"] = values
+        return found
+
     def markdown(self) -> str:
         """The table as Markdown."""
         head, *rows = self.table()
