@@ -32,6 +32,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from pemirl_trl.data import DemonstrationDataset, Negatives, Provenance
+from pemirl_trl.files import Card
 from pemirl_trl.modules import (
     AIRLDiscriminator,
     ContextEncoder,
@@ -56,10 +57,12 @@ from pemirl_trl.objectives import (
     ValueLoss,
 )
 from pemirl_trl.optim import TrustRegionOptimizer, TrustRegionResult
-from pemirl_trl.pretrained import load_model, save_model
+from pemirl_trl.pretrained import load_card, load_model, save_model
+from pemirl_trl.sharing import PortableReward, load_reward, save_reward
 from pemirl_trl.transforms import InferContext, LearnedReward, SampleTasks
 
 if TYPE_CHECKING:
+    from pemirl_trl.adapters import BatchReward, LearnedRewardVectorWrapper, LearnedRewardWrapper
     from pemirl_trl.methods import (
         Adaptation,
         Inference,
@@ -74,6 +77,8 @@ __version__ = "0.1.0"
 __all__ = [
     "AIRLDiscriminator",
     "Adaptation",
+    "BatchReward",
+    "Card",
     "ContextEncoder",
     "ContextPolicy",
     "ContextValue",
@@ -86,12 +91,15 @@ __all__ = [
     "Inference",
     "InfoLoss",
     "LearnedReward",
+    "LearnedRewardVectorWrapper",
+    "LearnedRewardWrapper",
     "MaskedContextEncoder",
     "MetaILLoss",
     "ModelConfig",
     "Negatives",
     "NoContext",
     "PEMIRLModel",
+    "PortableReward",
     "Provenance",
     "SampleTasks",
     "ShapedReward",
@@ -103,19 +111,31 @@ __all__ = [
     "ValueLoss",
     "adapt",
     "infer",
+    "load_card",
     "load_model",
+    "load_reward",
     "meta_train",
     "save_model",
+    "save_reward",
     "wrap_gymnasium",
 ]
 
 # These bring TorchRL's collectors, which warn of their own deprecated classes at import: whoever
 # composes losses in a trainer of theirs has no need of them.
-_CALLS = ("Adaptation", "Inference", "adapt", "infer", "meta_train", "wrap_gymnasium")
+_CALLS = {
+    **dict.fromkeys(
+        ("Adaptation", "Inference", "adapt", "infer", "meta_train", "wrap_gymnasium"),
+        "pemirl_trl.methods",
+    ),
+    **dict.fromkeys(
+        ("BatchReward", "LearnedRewardVectorWrapper", "LearnedRewardWrapper"),
+        "pemirl_trl.adapters",
+    ),
+}
 
 
 def __getattr__(name: str) -> Any:
     """Import the calls for a task of one's own when they are asked for (PEP 562)."""
     if name in _CALLS:
-        return getattr(importlib.import_module("pemirl_trl.methods"), name)
+        return getattr(importlib.import_module(_CALLS[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
