@@ -18,7 +18,6 @@ release = version = pemirl_trl.__version__
 
 extensions = [
     "sphinx.ext.autodoc",
-    "sphinx.ext.doctest",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "myst_nb",
@@ -47,6 +46,7 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300  # seconds, of one cell
 nb_execution_show_tb = True
+nb_output_stderr = "remove"  # what libraries warn of at import
 
 # The reference: what ``__all__`` says, each name once, with its signature and types.
 autodoc_inherit_docstrings = False  # torch's texts are torch's
@@ -57,7 +57,6 @@ napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 python_maximum_signature_line_length = 88
 add_module_names = False
-doctest_global_setup = "import torch"
 
 html_theme = "furo"
 html_title = f"pemirl-trl {release}"
