@@ -8,8 +8,10 @@ which fails it.
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
+import itertools
 import pkgutil
 import re
 import sys
@@ -17,11 +19,10 @@ import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sphinx.application import Sphinx
-from sphinx.pycode import ModuleAnalyzer
-from sphinx.util import logging
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 PACKAGES = ("pemirl_trl", "pemirl_envs", "pemirl_lab")
 WITHOUT_ALL = ("pemirl_trl.optim.trainer", "pemirl_envs.rendering", "pemirl_lab.cli")
@@ -30,27 +31,27 @@ WITHOUT_ALL = ("pemirl_trl.optim.trainer", "pemirl_envs.rendering", "pemirl_lab.
 
 def public_names() -> dict[str, list[str]]:
     """What each public module exports, by the module's name."""
-    exported = {module.__name__: list(module.__all__) for module in _modules_with_all()}
-    for name in WITHOUT_ALL:
-        module = importlib.import_module(name)
-        exported[name] = [
-            key
-            for key, value in vars(module).items()
-            if not key.startswith("_") and getattr(value, "__module__", None) == name
-        ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # TorchRL's collectors and trainers warn at import
+        exported = {module.__name__: list(module.__all__) for module in _modules_with_all()}
+        for name in WITHOUT_ALL:
+            defined = vars(importlib.import_module(name)).items()
+            exported[name] = [
+                key
+                for key, value in defined
+                if not key.startswith("_") and getattr(value, "__module__", None) == name
+            ]
     return exported
 
 
 def _modules_with_all() -> Iterator[ModuleType]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # TorchRL's collectors warn of their own classes
-        for top in PACKAGES:
-            package = importlib.import_module(top)
-            inside = pkgutil.walk_packages(package.__path__, f"{top}.")
-            for name in (top, *(info.name for info in inside)):
-                module = importlib.import_module(name)
-                if hasattr(module, "__all__"):
-                    yield module
+    for top in PACKAGES:
+        package = importlib.import_module(top)
+        inside = pkgutil.walk_packages(package.__path__, f"{top}.")
+        for name in (top, *(info.name for info in inside)):
+            module = importlib.import_module(name)
+            if hasattr(module, "__all__"):
+                yield module
 
 
 def homes(exported: Mapping[str, list[str]]) -> dict[str, str]:
@@ -74,6 +75,8 @@ def pages() -> dict[str, str]:
         here = [name for name in exported[module] if places[f"{module}.{name}"].startswith(module)]
         here = [name for name in here if places[f"{module}.{name}"] == f"{module}.{name}"]
         if here or module == page:
+            if page not in written and module != page:  # a package that itself exports nothing
+                written[page] = _title(page, "=") + _body(page, [], [])
             title = _title(module, "=" if page not in written else "-")
             elsewhere = [places[f"{module}.{n}"] for n in exported[module] if n not in here]
             written[page] = written.get(page, "") + title + _body(module, here, elsewhere)
@@ -110,7 +113,7 @@ def _entry(module: str, name: str) -> str:
     if inspect.isfunction(thing):
         return f".. autofunction:: {module}.{name}\n\n"
     text = escaped(_documentation(module, name)).replace("\n", "\n   ")
-    return f".. py:data:: {module}.{name}\n\n   {text}\n\n"
+    return f".. py:data:: {name}\n   :module: {module}\n\n   {text}\n\n"
 
 
 def _documentation(module: str, name: str) -> str:
@@ -123,11 +126,21 @@ def _documentation(module: str, name: str) -> str:
     if inspect.isclass(thing) or inspect.isfunction(thing):
         return inspect.getdoc(thing) or ""
     for defining in sorted(key for key in sys.modules if key.startswith(module)):
-        if getattr(sys.modules[defining], name, None) is thing:
-            strings = ModuleAnalyzer.for_module(defining).find_attr_docs()
-            if ("", name) in strings:
-                return "\n".join(strings["", name]).strip()
+        same = getattr(sys.modules[defining], name, None) is thing
+        if same and (said := _string_below(sys.modules[defining], name)):
+            return said
     raise ValueError(f"{module}.{name} has no docstring: write one below its assignment")
+
+
+def _string_below(module: ModuleType, name: str) -> str | None:
+    body = ast.parse(inspect.getsource(module)).body
+    for assignment, below in itertools.pairwise(body):
+        targets = getattr(assignment, "targets", [getattr(assignment, "target", None)])
+        if name in [getattr(target, "id", None) for target in targets]:
+            match below:
+                case ast.Expr(value=ast.Constant(value=str() as text)):
+                    return inspect.cleandoc(text)
+    return None
 
 
 def escaped(text: str) -> str:
@@ -159,6 +172,8 @@ def write(app: Sphinx) -> None:
 
 def check(app: Sphinx, exception: Exception | None) -> None:
     """Warn of every public name that has no entry."""
+    from sphinx.util import logging  # here: a test writes the pages without Sphinx
+
     if exception is None:
         entries = app.env.domains.python_domain.objects
         for name, home in homes(public_names()).items():
