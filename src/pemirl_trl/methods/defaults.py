@@ -18,7 +18,6 @@ from pemirl_trl.modules import PEMIRLModel
 
 PRESETS: Mapping[str, str] = {
     "paper": "pemirl",
-    "bounded": "pemirl_bounded",
     "robust": "pemirl_robust",
     "contrastive": "pemirl_contrastive",
 }
