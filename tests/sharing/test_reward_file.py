@@ -1,4 +1,4 @@
-"""A reward's file holds all that it takes to ask it, and is compared with itself when it is read."""
+"""A reward's file holds all that it takes to ask it, and is compared with itself when read."""
 
 import json
 
@@ -122,7 +122,7 @@ def test_a_whole_model_gives_its_reward(tmp_path):
 
 
 def test_a_reward_is_not_taken_for_a_model(file):
-    with pytest.raises(ValueError, match="holds a reward without a policy: pemirl_trl.load_reward"):
+    with pytest.raises(ValueError, match=r"a reward without a policy: pemirl_trl\.load_reward"):
         load_model(file)
 
 
