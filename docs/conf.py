@@ -34,6 +34,7 @@ include_patterns = [
     "docs/**.md",
     "docs/**.rst",
     "recipes/README.md",
+    "zoo/*.md",
 ]
 exclude_patterns = [".*", "build", "dist", "outputs", "multirun", "runs", "results", "src", "envs"]
 suppress_warnings = ["misc.highlighting_failure"]  # shown are messages and pseudocode, too
