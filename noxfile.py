@@ -95,6 +95,25 @@ def types(session: nox.Session) -> None:
 
 
 @nox.session
+def docs(session: nox.Session) -> None:
+    """Build the site into docs/_build/html, and run the examples on pages and in docstrings.
+
+    A warning is an error: a dead link inside, an equation or a docstring that cannot be read, a
+    public name without an entry, a notebook that raises. ``-- linkcheck`` asks the network for the
+    links to elsewhere, too; continuous integration does not, so that it passes without one.
+    """
+    install(session, "-e", ".[docs,minari]")
+    strict = ("-W", "--keep-going", "-c", "docs", ".")
+    if "linkcheck" in session.posargs:
+        session.run("sphinx-build", "-b", "linkcheck", *strict, "docs/_build/links", env=HEADLESS)
+        return
+    session.run("sphinx-build", "-b", "html", *strict, "docs/_build/html", env=DETERMINISTIC)
+    session.run(
+        "pytest", "src", "envs", "tests/test_docs.py", "tests/test_readme.py", env=DETERMINISTIC
+    )
+
+
+@nox.session
 def quickstart(session: nox.Session) -> None:
     """Run the quickstart as a user does; arguments are overrides, as of `pemirl quickstart`."""
     install(session, "-e", ".")
