@@ -1,16 +1,18 @@
 """Networks of PEMIRL as TensorDict modules."""
 
 from pemirl_trl.modules.actors import ContextPolicy, ContextValue
+from pemirl_trl.modules.categorical import CategoricalPolicy
 from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder, NoContext
 from pemirl_trl.modules.discriminator import AIRLDiscriminator, GAILDiscriminator
 from pemirl_trl.modules.family import FamilyDistance, TrainingFamily
-from pemirl_trl.modules.model import ModelConfig, PEMIRLModel
+from pemirl_trl.modules.model import ModelConfig, PEMIRLModel, Policy
 from pemirl_trl.modules.reading import MissingKeyError
 from pemirl_trl.modules.reward import ShapedReward
 from pemirl_trl.modules.standardize import Standardize
 
 __all__ = [
     "AIRLDiscriminator",
+    "CategoricalPolicy",
     "ContextEncoder",
     "ContextPolicy",
     "ContextValue",
@@ -21,6 +23,7 @@ __all__ = [
     "ModelConfig",
     "NoContext",
     "PEMIRLModel",
+    "Policy",
     "ShapedReward",
     "Standardize",
     "TrainingFamily",
