@@ -44,7 +44,7 @@ from pemirl_trl.methods import (
 )
 from pemirl_trl.methods.defaults import found_for_adaptation, table
 from pemirl_trl.methods.loop import Method
-from pemirl_trl.modules import Policy
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.pretrained import load_model
 
 

@@ -14,7 +14,7 @@ from pemirl_lab.runs.places import data_file
 from pemirl_lab.runs.settings import Settings, variant
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
 from pemirl_trl.evaluation import Actor, linear_probe, returns_per_task
-from pemirl_trl.modules import Policy
+from pemirl_trl.modules.model import Policy
 
 
 def load_test_demonstrations(settings: Settings) -> DemonstrationDataset:

@@ -9,7 +9,8 @@ from pydantic.dataclasses import dataclass
 
 from pemirl_trl.configuration import CHECKED, Count, Positive
 from pemirl_trl.methods.policy_optimization import PolicyOptimizationConfig
-from pemirl_trl.modules import PEMIRLModel, Policy
+from pemirl_trl.modules import PEMIRLModel
+from pemirl_trl.modules.model import Policy
 
 
 @dataclass(frozen=True, config=CHECKED)

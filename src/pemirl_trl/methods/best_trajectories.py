@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
-from pemirl_trl.modules import Policy
+from pemirl_trl.modules.model import Policy
 
 _KEPT = ("observation", "action")
 _STRIDE = 4  # steps between those that are scored: a ranking needs no more, and it is all the cost

@@ -10,7 +10,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from pemirl_trl.methods.requirements import check_environment
-from pemirl_trl.modules import Policy
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.transforms import InferContext
 
 Transformed = TypeVar("Transformed", bound=Transform)

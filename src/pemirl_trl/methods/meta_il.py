@@ -55,8 +55,9 @@ class MetaIL:
         self.iterations = iteration_count(config.steps, config.steps_per_iteration)
         self.env_steps = 0
         self.loss = MetaILLoss(model.encoder, model.policy, kl_coeff=config.kl_coeff)
-        both = [*model.encoder.parameters(), *model.policy.parameters()]
-        self.optimizer = Adam([p for p in both if p.requires_grad], lr=config.lr)
+        self.optimizer = Adam(
+            [*model.encoder.parameters(), *model.policy.parameters()], lr=config.lr
+        )
 
     def iteration(self) -> dict[str, float]:
         """So many Adam steps; the metrics are means over them."""

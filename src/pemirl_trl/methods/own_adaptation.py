@@ -22,8 +22,9 @@ from pemirl_trl.methods.loop import Metrics
 from pemirl_trl.methods.own_training import as_dataset, digest
 from pemirl_trl.methods.policy_optimization import PolicyOptimization
 from pemirl_trl.methods.stages import OnIteration, RunStage, stages
-from pemirl_trl.modules import PEMIRLModel, Policy
+from pemirl_trl.modules import PEMIRLModel
 from pemirl_trl.modules.family import FAR
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.transforms import InferContext
 
 LOG = logging.getLogger("pemirl_trl")

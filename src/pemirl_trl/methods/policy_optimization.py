@@ -18,7 +18,7 @@ from pemirl_trl.methods.collection import EpisodeCollector
 from pemirl_trl.methods.observation_statistics import ObservationStatistics
 from pemirl_trl.methods.schedule import AnnealedScale
 from pemirl_trl.methods.trpo import TRPO, TRPOConfig
-from pemirl_trl.modules import Policy
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.transforms import LearnedReward
 
 

@@ -8,9 +8,11 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.data import Categorical, Composite, OneHot, TensorSpec
 from torchrl.data.tensor_specs import ContinuousBox
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs.batched_envs import BatchedEnvBase
 
-from pemirl_trl.modules import CategoricalPolicy, Policy
+from pemirl_trl.modules import CategoricalPolicy
+from pemirl_trl.modules.model import Policy
 
 
 def check_environment(env: EnvBase, policy: Policy, horizon: int) -> None:
@@ -127,7 +129,10 @@ def _inputs(env: EnvBase, policy: Policy) -> Iterator[str]:
 
 
 def _length(env: EnvBase, horizon: int) -> Iterator[str]:
-    longest = getattr(env, "horizon", None)
+    while isinstance(env, TransformedEnv):
+        env = env.base_env
+    # A SerialEnv that has not begun answers a question for an attribute by asking itself for ever.
+    longest = None if isinstance(env, BatchedEnvBase) else getattr(env, "horizon", None)
     if isinstance(longest, int) and longest != horizon:
         yield (
             f"its episodes last {longest} steps, and the model's {horizon}, as the "

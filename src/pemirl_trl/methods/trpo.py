@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from pemirl_trl.configuration import CHECKED, Count, NonNegative, Positive, Share
-from pemirl_trl.modules import Policy
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.objectives import FiniteHorizonAdvantage, TRPOLoss
 from pemirl_trl.optim import TrustRegionOptimizer
 

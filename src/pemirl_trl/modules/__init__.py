@@ -5,7 +5,7 @@ from pemirl_trl.modules.categorical import CategoricalPolicy
 from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder, NoContext
 from pemirl_trl.modules.discriminator import AIRLDiscriminator, GAILDiscriminator
 from pemirl_trl.modules.family import FamilyDistance, TrainingFamily
-from pemirl_trl.modules.model import ModelConfig, PEMIRLModel, Policy
+from pemirl_trl.modules.model import ModelConfig, PEMIRLModel
 from pemirl_trl.modules.reading import MissingKeyError
 from pemirl_trl.modules.reward import ShapedReward
 from pemirl_trl.modules.standardize import Standardize
@@ -23,7 +23,6 @@ __all__ = [
     "ModelConfig",
     "NoContext",
     "PEMIRLModel",
-    "Policy",
     "ShapedReward",
     "Standardize",
     "TrainingFamily",

@@ -32,15 +32,18 @@ def one_hot_categorical(logits: Tensor) -> OneHotCategorical:
 
 
 class _CategoricalNet(nn.Module):
+    log_scale: Tensor
+
     def __init__(
         self,
         net: nn.Module,
         standardize: Standardize,
-        log_scale: nn.Parameter,
+        log_scale: Tensor,
         standardize_context: Standardize | None,
     ) -> None:
         super().__init__()
-        self.standardize, self.net, self.log_scale = standardize, net, log_scale
+        self.standardize, self.net = standardize, net
+        self.register_buffer("log_scale", log_scale)
         self.standardize_context = standardize_context
 
     def forward(self, observation: Tensor, context: Tensor) -> tuple[Tensor]:
@@ -111,7 +114,7 @@ class CategoricalPolicy(ProbabilisticActor):
         categorical = _CategoricalNet(
             net,
             standardize or Standardize.identity(observation_dim),
-            nn.Parameter(log_scale, requires_grad=False),
+            log_scale,
             standardize_context,
         )
         super().__init__(
@@ -145,7 +148,7 @@ class CategoricalPolicy(ProbabilisticActor):
         return self.module[0].net.standardize
 
     @property
-    def log_scale(self) -> nn.Parameter:
+    def log_scale(self) -> Tensor:
         """Logarithm of the share eps of uniform actions, ``[1]``."""
         return self.module[0].net.log_scale
 
