@@ -144,7 +144,7 @@ class DemonstrationDataset:
     @classmethod
     def from_episodes(
         cls,
-        episodes: Iterable[tuple[ArrayLike, ArrayLike]],
+        episodes: Iterable[tuple[ArrayLike | Mapping[str, Any], ArrayLike]],
         provenance: Provenance | None = None,
         task: Mapping[str, ArrayLike] | TensorDictBase | None = None,
         *,
