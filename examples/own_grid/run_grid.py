@@ -1,8 +1,8 @@
 """One demonstration in, its reward out, with discrete actions: the grid of grid.py, by commands.
 
-``python examples/own_grid/run_grid.py 0 1 2`` writes ``results/own_tasks/grid/seed<n>.json`` for each
-seed, some minutes each; the commands are printed as they are run. True returns are for this report;
-no learner reads them.
+``python examples/own_grid/run_grid.py 0 1 2`` writes ``results/own_tasks/grid/seed<n>.json`` for
+each seed, some minutes each; the commands are printed as they are run. True returns are for this
+report; no learner reads them.
 """
 
 from __future__ import annotations
