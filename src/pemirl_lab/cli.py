@@ -28,6 +28,7 @@ COMMANDS: Mapping[str, str] = {
 OTHERS: Mapping[str, tuple[str, str]] = {
     "infer": ("pemirl_lab.measuring.infer", "m and r of one demonstration, and how far off it is"),
     "check": ("pemirl_lab.measuring.check", "what is suspicious about a file of demonstrations"),
+    "film_strip": ("pemirl_lab.pages.film_strip", "a film as a picture, a row per episode"),
     "report": ("pemirl_lab.pages.report", "the generated parts of the pages, from results files"),
 }
 """What takes arguments of its own: the module, and what it does."""

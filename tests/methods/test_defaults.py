@@ -72,9 +72,9 @@ def test_actions_that_are_all_zero_are_refused():
         meta_training_config(data(size=0.0))
 
 
-@pytest.mark.parametrize("preset", ["paper", "bounded", "robust", "contrastive"])
+@pytest.mark.parametrize("preset", ["paper", "robust", "contrastive"])
 def test_a_preset_is_the_librarys_method_but_for_what_was_found(preset):
-    names = {"paper": "pemirl", "bounded": "pemirl_bounded"}
+    names = {"paper": "pemirl"}
     base = METHODS[names.get(preset, f"pemirl_{preset}")]
     config = meta_training_config(data(), preset)
     assert config.training.gradient_penalty_coeff == base.training.gradient_penalty_coeff
@@ -114,7 +114,7 @@ def test_a_wrong_setting_is_named(overrides, message):
 
 
 def test_an_unknown_preset_lists_those_that_there_are():
-    with pytest.raises(ValueError, match=r"unknown preset 'best'; choose one of \['paper', 'bou"):
+    with pytest.raises(ValueError, match=r"unknown preset 'best'; choose one of \['paper', 'rob"):
         meta_training_config(data(), "best")
 
 

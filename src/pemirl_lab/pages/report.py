@@ -30,6 +30,7 @@ from pemirl_lab.pages.benchmark_tables import benchmark_parts
 from pemirl_lab.pages.comparison import interval_plot, stage_curves
 from pemirl_lab.pages.convergence import Stage, convergence_table
 from pemirl_lab.pages.figures import save_figure
+from pemirl_lab.pages.gap import gap_table
 from pemirl_lab.pages.own_tasks import own_task_parts
 from pemirl_lab.pages.tables import (
     Column,
@@ -128,6 +129,7 @@ KINDS: Mapping[str, Callable[..., str | Drawing | None]] = {
     "returns": returns_table,
     "seeds": seeds_table,
     "improvement": improvement_table,
+    "gap": gap_table,
     "reward": reward_table,
     "cost": cost_table,
     "convergence": _convergence,

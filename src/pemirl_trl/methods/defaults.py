@@ -19,7 +19,6 @@ from pemirl_trl.modules.model import ActionKind
 
 PRESETS: Mapping[str, str] = {
     "paper": "pemirl",
-    "bounded": "pemirl_bounded",
     "robust": "pemirl_robust",
     "contrastive": "pemirl_contrastive",
 }

@@ -2,8 +2,8 @@
 
 >>> from pemirl_trl.methods import METHODS
 >>> sorted(METHODS)
-['airl', 'meta_il', 'meta_infogail', 'pemirl', 'pemirl_bounded', 'pemirl_contrastive', \
-'pemirl_no_info', 'pemirl_robust']
+['airl', 'meta_il', 'meta_infogail', 'pemirl', 'pemirl_contrastive', 'pemirl_literal', \
+'pemirl_no_info', 'pemirl_rescaled', 'pemirl_robust']
 >>> METHODS["pemirl_robust"].training.gradient_penalty_coeff
 0.1
 
@@ -70,7 +70,7 @@ class MethodConfig:
     contexts_per_batch: Count = 50
     initial_encoder: Start = "meta_il"
     initial_policy: Start = "fresh"
-    learn_policy_scale: bool = False
+    learn_policy_scale: bool = True
     reward_average_decay: Decay | None = None
     reward_reads: Literal["observation", "task_space"] = "observation"
 
@@ -94,10 +94,13 @@ class MethodConfig:
 
 METHODS: Mapping[str, MethodConfig] = {
     "pemirl": MethodConfig(),
-    "pemirl_bounded": MethodConfig(training=PEMIRLConfig.bounded(), learn_policy_scale=True),
-    "pemirl_robust": MethodConfig(training=PEMIRLConfig.robust(), reward_average_decay=0.9),
+    "pemirl_literal": MethodConfig(training=PEMIRLConfig.literal()),
+    "pemirl_rescaled": MethodConfig(training=PEMIRLConfig.rescaled(), learn_policy_scale=False),
+    "pemirl_robust": MethodConfig(
+        training=PEMIRLConfig.robust(), learn_policy_scale=False, reward_average_decay=0.9
+    ),
     "pemirl_contrastive": MethodConfig(
-        training=PEMIRLConfig.contrastive(), reward_reads="task_space"
+        training=PEMIRLConfig.contrastive(), learn_policy_scale=False, reward_reads="task_space"
     ),
     # Adversarial IRL on the contexts of Meta-IL's encoder, which stays as it is.
     "pemirl_no_info": MethodConfig(algorithm="airl", training=AIRLConfig()),
@@ -112,11 +115,12 @@ METHODS: Mapping[str, MethodConfig] = {
         model=ModelConfig(reward="gail"),
         training=MetaInfoGAILConfig(),
         initial_policy="meta_il",
-        learn_policy_scale=True,
     ),
-    "meta_il": MethodConfig(algorithm="meta_il", training=AdversarialConfig()),
+    "meta_il": MethodConfig(
+        algorithm="meta_il", training=AdversarialConfig(), learn_policy_scale=False
+    ),
 }
-"""The paper's method, in two forms; two extensions; the baselines."""
+"""The paper's method, in three forms; two extensions; the baselines."""
 
 
 def new_model(

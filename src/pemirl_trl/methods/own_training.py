@@ -47,7 +47,7 @@ def meta_train(
         demonstrations: of many tasks, one or more of each; or the file of them.
         preset: ``"robust"``, whose rewards transfer where observations are what the task is about;
             ``"contrastive"``, where a body or an object stands in between (needs ``task_space``);
-            ``"paper"`` or ``"bounded"``, the published method.
+            ``"paper"``, the published method.
         task_space: which components of an observation the task is about, for ``"contrastive"``.
         seed: of everything random.
         on_iteration: called with the stage's name, the iteration (from 1) and its metrics.
