@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from pemirl_trl.files import read_weights, save_weights, write_tensors
-from pemirl_trl.modules import ModelConfig, PEMIRLModel, TrainingFamily
+from pemirl_trl.modules import CategoricalPolicy, ModelConfig, PEMIRLModel, TrainingFamily
 from pemirl_trl.pretrained import load_model, save_model, zoo
 
 GOLDEN = Path(__file__).parent / "golden" / "file_version_1"
@@ -176,3 +176,21 @@ def test_a_damaged_training_family_is_refused_by_name(tmp_path, change, message)
     with pytest.raises(ValueError, match=message) as raised:
         load_model(tmp_path / "model")
     assert str(tmp_path / "model") in str(raised.value)
+
+
+def test_a_model_of_discrete_actions_is_rebuilt_with_its_kind_of_policy(tmp_path):
+    model = PEMIRLModel(3, 4, 5, ModelConfig(**SIZES, actions="discrete", policy_scale=0.2))
+    save_model(tmp_path / "m.safetensors", model)
+    loaded = load_model(tmp_path / "m.safetensors")
+    assert loaded.config.actions == "discrete"
+    assert isinstance(loaded.policy, CategoricalPolicy)
+    for a, b in zip(model.state_dict().values(), loaded.state_dict().values(), strict=True):
+        assert torch.equal(a, b)
+
+
+@pytest.mark.parametrize("changed", [{"actions": "some"}, {"policy_scale": 2.0}])
+def test_a_kind_of_actions_that_is_none_is_refused(tmp_path, changed):
+    path = tmp_path / "m.safetensors"
+    save_with(path, config(**{"actions": "discrete", "policy_scale": 0.1, **changed}))
+    with pytest.raises(ValueError, match=f"(?s)m.safetensors is damaged: .*{next(iter(changed))}"):
+        load_model(path)

@@ -8,14 +8,16 @@ rollouts each, context-major):
 key                      shape       symbol       written by
 ======================== =========== ============ =============================================
 observation              [N, T, S]   s_t          the environment; never holds the task
-action                   [N, T, A]   a_t          ContextPolicy; as drawn, before any clipping
+action                   [N, T, A]   a_t          the policy; as drawn, before any clipping; a
+                                                  discrete one is one-hot, of A choices
 ("next", "observation")  [N, T, S]   s_{t+1}      the environment
 context                  [N, T, D]   m            InferContext, once per rollout
 context_loc              [N, D]      mean of q    ContextEncoder
 context_scale            [N, D]      deviation    ContextEncoder
 demonstration            [N, T]      index        InferContext: which demonstration m is from
 loc, scale               [N, T, A]                ContextPolicy: parameters of pi at collection
-action_log_prob          [N, T]      log pi       ContextPolicy, at collection
+logits                   [N, T, A]                CategoricalPolicy: the same
+action_log_prob          [N, T]      log pi       the policy, at collection
 learned_reward           [..., 1]    r_theta      ShapedReward
 shaped_reward            [..., 1]    f            ShapedReward: r + gamma h' - h
 logit_expert             [..., 1]    f - log pi   AIRLDiscriminator; high means expert
@@ -35,6 +37,7 @@ from pemirl_trl.data import DemonstrationDataset, Negatives, Provenance
 from pemirl_trl.files import Card
 from pemirl_trl.modules import (
     AIRLDiscriminator,
+    CategoricalPolicy,
     ContextEncoder,
     ContextPolicy,
     ContextValue,
@@ -59,7 +62,13 @@ from pemirl_trl.objectives import (
 from pemirl_trl.optim import TrustRegionOptimizer, TrustRegionResult
 from pemirl_trl.pretrained import load_card, load_model, save_model
 from pemirl_trl.sharing import PortableReward, load_reward, save_reward
-from pemirl_trl.transforms import InferContext, LearnedReward, SampleTasks
+from pemirl_trl.transforms import (
+    InferContext,
+    JoinObservations,
+    LearnedReward,
+    OneHotActions,
+    SampleTasks,
+)
 
 if TYPE_CHECKING:
     from pemirl_trl.adapters import BatchReward, LearnedRewardVectorWrapper, LearnedRewardWrapper
@@ -79,6 +88,7 @@ __all__ = [
     "Adaptation",
     "BatchReward",
     "Card",
+    "CategoricalPolicy",
     "ContextEncoder",
     "ContextPolicy",
     "ContextValue",
@@ -90,6 +100,7 @@ __all__ = [
     "InferContext",
     "Inference",
     "InfoLoss",
+    "JoinObservations",
     "LearnedReward",
     "LearnedRewardVectorWrapper",
     "LearnedRewardWrapper",
@@ -98,6 +109,7 @@ __all__ = [
     "ModelConfig",
     "Negatives",
     "NoContext",
+    "OneHotActions",
     "PEMIRLModel",
     "PortableReward",
     "Provenance",

@@ -83,7 +83,10 @@ def run_own(task: OwnEnvironment) -> PEMIRLModel:
         folder.train(name, method, show="meta_il/loss_imitation" if name == "meta-il" else LEARNED)
 
     model = meta_train_in_stages(
-        make_env, data, config, stage, seed=task.seed, task_space=task.task_space
+        *(make_env, data, config, stage),
+        seed=task.seed,
+        task_space=task.task_space,
+        observation_keys=task.observation_keys,
     )
     steps = config.contexts_per_batch * config.training.rollouts_per_context * data.horizon
     facts = {"method": task.preset, "env_steps": str(steps * config.training.iterations)}

@@ -29,6 +29,7 @@ class OwnTask:
         env: ``"my_module:make_env"``; see :data:`pemirl_trl.methods.MakeEnv`.
         run_dir: where the run writes; the same command resumes it.
         seed, logger, checkpoint_every: as in the other commands.
+        observation_keys: which entries of what it observes make the observation, in this order.
         settings: of the library, by their dotted names: what is none of the values above.
     """
 
@@ -37,6 +38,7 @@ class OwnTask:
     seed: SeedNumber = 0
     logger: Literal["csv", "tensorboard"] | None = "csv"
     checkpoint_every: Count = 25
+    observation_keys: Sequence[str] | None = None
     settings: dict[str, Any] = field(default_factory=dict)
 
     def folder(self) -> RunFolder:

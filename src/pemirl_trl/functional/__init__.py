@@ -7,6 +7,7 @@ from pemirl_trl.functional.airl import (
     policy_reward,
     shaped_reward,
 )
+from pemirl_trl.functional.categorical import mixed_with_uniform
 from pemirl_trl.functional.gaussian import kl_to_standard_normal
 from pemirl_trl.functional.info import (
     info_encoder_loss,
@@ -27,6 +28,7 @@ __all__ = [
     "kl_to_standard_normal",
     "logit_expert",
     "mixed_with_prior",
+    "mixed_with_uniform",
     "normalized_within_context",
     "policy_reward",
     "ridge_prediction",

@@ -34,7 +34,8 @@ class PolicyConfig:
         trpo: of one update.
         imitation_coeff: weight of the demonstrations' log-likelihood per step, in nats; 0 is off.
         final_imitation_coeff: to which that weight grows; None holds it.
-        final_scale: to which the policy's deviation shrinks; None leaves it to the policy.
+        final_scale: to which the policy's deviation shrinks (of discrete actions, the uniform
+            share); None leaves it to the policy.
         anneal_begin, anneal_finish: shares of the iterations between which weight and deviation
             move, log-linearly. An extension of the paper: the reward is learned against an
             exploring policy, and the policy that is kept acts precisely.

@@ -100,3 +100,9 @@ def check_demonstrations(
             f"the demonstrations have (S, A, T) = {got}: observed numbers, actions and steps; this "
             f"model was trained on {wanted}"
         )
+    if model.config.actions == "discrete" and not d.discrete:
+        raise ValueError(
+            f"the demonstrated actions are vectors of real numbers; this model was trained on "
+            f"{model.action_dim} choices, one-hot: from_episodes(..., discrete_actions="
+            f"{model.action_dim}) makes such of integers"
+        )

@@ -56,7 +56,8 @@ class MethodConfig:
         contexts_per_batch: M, contexts per iteration (the paper's code: 50).
         initial_encoder: where q_psi starts (the paper: Meta-IL's).
         initial_policy: where pi_omega starts (the paper: fresh).
-        learn_policy_scale: whether the policy's deviation is learned, or held (and annealed).
+        learn_policy_scale: whether the policy's deviation is learned, or held (and annealed). The
+            uniform share of a policy of discrete actions never is.
         reward_average_decay: of an average of r's weights, per iteration; None is off.
         reward_reads: what of an observation r reads: all of it (the paper), or the components that
             the task is about, where somebody names them.
@@ -80,6 +81,9 @@ class MethodConfig:
                 f"algorithm {self.algorithm!r} takes a training of {expected.__name__}, got "
                 f"{type(self.training).__name__}"
             )
+        self.model.check_scale("final_scale", self.training.policy.final_scale)
+        if self.learn_policy_scale and self.model.actions == "discrete":
+            raise ValueError("learn_policy_scale is true; a policy of discrete actions learns none")
         if self.model.context_dim == 0:
             for name in ("initial_encoder", "initial_policy"):
                 if getattr(self, name) == "meta_il":
