@@ -28,6 +28,10 @@ COMMANDS: Mapping[str, str] = {
 OTHERS: Mapping[str, tuple[str, str]] = {
     "infer": ("pemirl_lab.measuring.infer", "m and r of one demonstration, and how far off it is"),
     "check": ("pemirl_lab.measuring.check", "what is suspicious about a file of demonstrations"),
+    "run_page": (
+        "pemirl_lab.pages.run_page",
+        "one HTML page of a run: health, curves, maps",
+    ),
     "report": ("pemirl_lab.pages.report", "the generated parts of the pages, from results files"),
 }
 """What takes arguments of its own: the module, and what it does."""
