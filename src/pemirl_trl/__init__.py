@@ -32,6 +32,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from pemirl_trl.data import DemonstrationDataset, Negatives, Provenance
+from pemirl_trl.health import Finding, Health, Sign
 from pemirl_trl.modules import (
     AIRLDiscriminator,
     ContextEncoder,
@@ -80,8 +81,10 @@ __all__ = [
     "DemonstrationDataset",
     "DiscriminatorLoss",
     "FamilyDistance",
+    "Finding",
     "FiniteHorizonAdvantage",
     "GAILDiscriminator",
+    "Health",
     "InferContext",
     "Inference",
     "InfoLoss",
@@ -95,6 +98,7 @@ __all__ = [
     "Provenance",
     "SampleTasks",
     "ShapedReward",
+    "Sign",
     "Standardize",
     "TRPOLoss",
     "TrainingFamily",

@@ -165,7 +165,7 @@ def _markdown(text: str) -> str:
     lines = [line for line in text.splitlines() if line.startswith("|")]
     if not lines:
         return f"<p>{escape(text)}</p>"
-    cells = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in lines]
+    cells = [[cell.strip() for cell in line.strip()[1:-1].split("|")] for line in lines]
     return _table(cells[0], cells[2:])
 
 
