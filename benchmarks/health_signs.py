@@ -92,10 +92,11 @@ CASES = {
         expected=("posterior collapsed",),
     ),
     "point_maze_info": Case(
-        "Point-Maze, `training.info_coeff=30`, no penalty",
+        "Point-Maze, an information term of weight 30 on r alone, no penalty",
         (
-            *(MAZE, "training.info_coeff=30", "training.gradient_penalty_coeff=0"),
-            "training.iterations=30",
+            *(MAZE, "training.info_coeff=30", "training.info_summand=state"),
+            *("training.gradient_penalty_coeff=0", "training.final_reward_lr=null"),
+            *("training.reward_lr=0.02", "training.iterations=25"),
         ),
         expected=("r exploding",),
     ),
