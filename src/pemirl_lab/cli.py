@@ -31,6 +31,10 @@ OTHERS: Mapping[str, tuple[str, str]] = {
     "export_model": ("pemirl_lab.measuring.export_model", "a model, with its card, to a file"),
     "check": ("pemirl_lab.measuring.check", "what is suspicious about a file of demonstrations"),
     "film_strip": ("pemirl_lab.pages.film_strip", "a film as a picture, a row per episode"),
+    "run_page": (
+        "pemirl_lab.pages.run_page",
+        "one HTML page of a run: health, curves, maps",
+    ),
     "report": ("pemirl_lab.pages.report", "the generated parts of the pages, from results files"),
 }
 """What takes arguments of its own: the module, and what it does."""

@@ -35,6 +35,7 @@ from typing import TYPE_CHECKING, Any
 
 from pemirl_trl.data import DemonstrationDataset, Negatives, Provenance
 from pemirl_trl.files import Card
+from pemirl_trl.health import Finding, Health, Sign
 from pemirl_trl.modules import (
     AIRLDiscriminator,
     CategoricalPolicy,
@@ -95,8 +96,10 @@ __all__ = [
     "DemonstrationDataset",
     "DiscriminatorLoss",
     "FamilyDistance",
+    "Finding",
     "FiniteHorizonAdvantage",
     "GAILDiscriminator",
+    "Health",
     "InferContext",
     "Inference",
     "InfoLoss",
@@ -115,6 +118,7 @@ __all__ = [
     "Provenance",
     "SampleTasks",
     "ShapedReward",
+    "Sign",
     "Standardize",
     "TRPOLoss",
     "TrainingFamily",

@@ -8,6 +8,11 @@ from pemirl_trl.functional.airl import (
     shaped_reward,
 )
 from pemirl_trl.functional.categorical import mixed_with_uniform
+from pemirl_trl.functional.diagnostics import (
+    channel_information,
+    dependence_on_context,
+    share_between_groups,
+)
 from pemirl_trl.functional.gaussian import kl_to_standard_normal
 from pemirl_trl.functional.info import (
     info_encoder_loss,
@@ -22,6 +27,8 @@ from pemirl_trl.functional.regression import ridge_prediction, time_polynomial_f
 __all__ = [
     "PolicyReward",
     "binary_classification_loss",
+    "channel_information",
+    "dependence_on_context",
     "discounted_return",
     "info_encoder_loss",
     "info_reward_loss",
@@ -33,6 +40,7 @@ __all__ = [
     "policy_reward",
     "ridge_prediction",
     "shaped_reward",
+    "share_between_groups",
     "standardize",
     "surrogate",
     "tilted_info_reward_loss",

@@ -16,6 +16,7 @@ from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.evaluation import whole_episodes
 from pemirl_trl.methods.adaptation import AdaptationConfig, initial_policy
 from pemirl_trl.methods.defaults import adaptation_config, found_for_adaptation, table
+from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.environments import Episodes, MakeEnv
 from pemirl_trl.methods.inference import check_demonstrations, infer
 from pemirl_trl.methods.loop import Metrics
@@ -229,6 +230,7 @@ class _Training:
             config.optimization,
             rollouts_per_context=rollouts,
             reward=self.model.reward,
+            diagnostics=Diagnostics(self.model, self.demonstrations.trajectories(), rollouts),
         )
         method = _Recorded(optimization)
         self._run_stage(stage, method)

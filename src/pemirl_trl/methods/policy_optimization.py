@@ -15,6 +15,7 @@ from torchrl.envs import EnvBase
 from pemirl_trl.configuration import CHECKED, Count, NonNegative, Positive, Share
 from pemirl_trl.methods.best_trajectories import BestTrajectories
 from pemirl_trl.methods.collection import EpisodeCollector
+from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.observation_statistics import ObservationStatistics
 from pemirl_trl.methods.schedule import AnnealedScale
 from pemirl_trl.methods.trpo import TRPO, TRPOConfig
@@ -76,6 +77,7 @@ class PolicyOptimization:
         reward: writes ``learned_reward``; None trains on the environment's own.
         task_keys: what distinguishes tasks, for ``imitate_best``: what reward and policy read
             beside observations and actions.
+        diagnostics: measure each iteration's rollouts, for :class:`pemirl_trl.Health`.
 
     Raises:
         ValueError: ``imitate_best`` without a reward: the environment's own is known only for the
@@ -92,8 +94,9 @@ class PolicyOptimization:
         rollouts_per_context: int,
         reward: TensorDictModuleBase | None = None,
         task_keys: Sequence[NestedKey] = ("context",),
+        diagnostics: Diagnostics | None = None,
     ) -> None:
-        self.config, self.policy = config, policy
+        self.config, self.policy, self._diagnostics = config, policy, diagnostics
         self.iterations = config.iterations
         self._collect = EpisodeCollector(env, policy, horizon)
         stretch = (config.anneal_begin, config.anneal_finish)
@@ -126,6 +129,8 @@ class PolicyOptimization:
         if self._learned is not None:
             self._learned(rollouts)
             metrics["return/learned"] = float(rollouts["next", "reward"].sum(1).mean())
+        if self._diagnostics is not None:
+            metrics |= self._diagnostics(rollouts, rollouts["next", "reward"])
         imitation = None
         if self._best is not None:
             metrics |= self._best.update(rollouts)
