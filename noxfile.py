@@ -102,7 +102,7 @@ def docs(session: nox.Session) -> None:
     public name without an entry, a notebook that raises. ``-- linkcheck`` asks the network for the
     links to elsewhere, too; continuous integration does not, so that it passes without one.
     """
-    install(session, "-e", ".[docs,minari]")
+    install(session, "-e", ".[docs,test]")  # the pages' examples use what the tests do
     strict = ("-W", "--keep-going", "-c", "docs", ".")
     if "linkcheck" in session.posargs:
         session.run("sphinx-build", "-b", "linkcheck", *strict, "docs/_build/links", env=HEADLESS)
