@@ -6,13 +6,14 @@ from collections.abc import Iterator
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.data import Categorical, Composite, OneHot, TensorSpec
+from torchrl.data import Categorical, Composite, TensorSpec
 from torchrl.data.tensor_specs import ContinuousBox
 from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.batched_envs import BatchedEnvBase
 
 from pemirl_trl.modules import CategoricalPolicy
 from pemirl_trl.modules.model import Policy
+from pemirl_trl.transforms.actions import is_choice
 
 
 def check_environment(env: EnvBase, policy: Policy, horizon: int) -> None:
@@ -73,7 +74,7 @@ def _batch(env: EnvBase) -> Iterator[str]:
 
 def _action(env: EnvBase, policy: Policy) -> Iterator[str]:
     spec, size = env.action_spec, policy.action_dim
-    choices = isinstance(spec, OneHot | Categorical)
+    choices = is_choice(spec)
     discrete = isinstance(policy, CategoricalPolicy)
     if not (choices or isinstance(spec.space, ContinuousBox)):
         yield (

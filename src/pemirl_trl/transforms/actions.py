@@ -10,6 +10,11 @@ from torchrl.data import Categorical, Composite, OneHot, TensorSpec
 from torchrl.envs import EnvBase, Transform
 
 
+def is_choice(spec: TensorSpec) -> bool:
+    """Whether a spec is of one choice of n; those of several are subclasses of these two."""
+    return type(spec) in (OneHot, Categorical)
+
+
 class OneHotActions(Transform):
     """Lets an environment of n discrete actions take them as vectors ``[..., n]`` of real numbers.
 
@@ -31,7 +36,7 @@ class OneHotActions(Transform):
     """
 
     def __init__(self, spec: TensorSpec) -> None:
-        if not isinstance(spec, OneHot | Categorical):
+        if not is_choice(spec):
             raise TypeError(
                 f"got an action spec {type(spec).__name__}; expected OneHot or Categorical"
             )
@@ -43,7 +48,7 @@ class OneHotActions(Transform):
     def of(cls, env: EnvBase) -> Self | None:
         """The transform that an environment needs; None where its actions are not discrete."""
         spec = env.action_spec
-        return cls(spec) if isinstance(spec, OneHot | Categorical) else None
+        return cls(spec) if is_choice(spec) else None
 
     def _inv_apply_transform(self, action: Tensor) -> Tensor:
         index = action.argmax(-1)
