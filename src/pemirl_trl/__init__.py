@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING, Any
 from pemirl_trl.data import DemonstrationDataset, Negatives, Provenance
 from pemirl_trl.modules import (
     AIRLDiscriminator,
+    AttentionContextEncoder,
     ContextEncoder,
     ContextPolicy,
     ContextValue,
@@ -74,6 +75,7 @@ __version__ = "0.1.0"
 __all__ = [
     "AIRLDiscriminator",
     "Adaptation",
+    "AttentionContextEncoder",
     "ContextEncoder",
     "ContextPolicy",
     "ContextValue",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from pemirl_trl.data.conversion import narrowed, plain_tensor, task_batch, wide_tensor
 from pemirl_trl.data.demonstration_file import read_demonstrations, write_demonstrations
+from pemirl_trl.data.lengths import lengthened, steps_after, with_indicator
 from pemirl_trl.data.minari_format import read_minari, write_minari
 from pemirl_trl.data.provenance import Provenance, parse_provenance
 from pemirl_trl.data.validation import check_demonstrations, stack_episodes
@@ -26,7 +27,7 @@ Index = int | slice | Sequence[int] | Tensor
 
 @dataclass(frozen=True, eq=False)
 class DemonstrationDataset:
-    """M demonstrations with one fixed horizon T, in no particular order and without labels.
+    """M demonstrations of at most T steps, in no particular order and without labels.
 
     ============== ============== ==============================================================
     field          shape, dtype   what it is
@@ -55,6 +56,9 @@ class DemonstrationDataset:
     action: Tensor
     provenance: Provenance = field(default_factory=Provenance)
     task: TensorDictBase | None = None
+    length: Tensor | None = None
+    terminated: Tensor | None = None
+    absorbing: bool = False
 
     def __post_init__(self) -> None:
         for name in ("observation", "action", "task"):
@@ -70,7 +74,7 @@ class DemonstrationDataset:
             ValueError: NaN or infinity, an off-by-one, wrong dimensions or dtypes; where a single
                 episode is at fault, the message names it.
         """
-        check_demonstrations(self.observation, self.action, self.task)
+        check_demonstrations(self.observation, self.action, self.task, self.length, self.terminated)
 
     def __len__(self) -> int:
         """Return M, the number of demonstrations."""
@@ -78,8 +82,26 @@ class DemonstrationDataset:
 
     @property
     def horizon(self) -> int:
-        """T, the number of actions of every demonstration."""
+        """T, the number of actions of the longest demonstration, or to which they are padded."""
         return self.action.shape[1]
+
+    @property
+    def lengths(self) -> Tensor:
+        """``[M]``: how many actions each demonstration has."""
+        if self.length is None:
+            return torch.full((len(self),), self.horizon, device=self.action.device)
+        return self.length
+
+    @property
+    def ended(self) -> Tensor:
+        """``[M]``: which demonstrations ended by themselves before T."""
+        early = self.lengths < self.horizon
+        return early if self.terminated is None else early & self.terminated
+
+    @property
+    def cut(self) -> Tensor:
+        """``[M]``: which demonstrations were cut before T: nobody knows how they went on."""
+        return (self.lengths < self.horizon) & ~self.ended
 
     @property
     def observation_dim(self) -> int:
@@ -94,9 +116,57 @@ class DemonstrationDataset:
     def __getitem__(self, index: Index) -> DemonstrationDataset:
         """Return the chosen demonstrations (an int chooses one) as a dataset."""
         rows = self._rows(index)
-        task = None if self.task is None else self.task[rows]
-        return DemonstrationDataset(
-            self.observation[rows], self.action[rows], self.provenance, task
+        return replace(
+            self,
+            observation=self.observation[rows],
+            action=self.action[rows],
+            task=None if self.task is None else self.task[rows],
+            length=None if self.length is None else self.length[rows],
+            terminated=None if self.terminated is None else self.terminated[rows],
+        )
+
+    def padded(self, horizon: int) -> DemonstrationDataset:
+        """Return these demonstrations with padding up to ``horizon`` steps.
+
+        Raises:
+            ValueError: one of them is longer.
+        """
+        if horizon < self.horizon:
+            raise ValueError(
+                f"got demonstrations of {self.horizon} steps; expected at most {horizon}"
+            )
+        if horizon == self.horizon:
+            return self
+        return replace(
+            self,
+            observation=lengthened(self.observation, horizon + 1, repeat=True),
+            action=lengthened(self.action, horizon, repeat=False),
+            length=self.lengths,
+        )
+
+    def with_absorbing_states(self, horizon: int | None = None) -> DemonstrationDataset:
+        """Return them with an indicator in the observation, going on to T after their end.
+
+        What ended by itself stays where it ended: every later step begins at the last observation
+        with an indicator of 1 (:class:`pemirl_trl.AbsorbingState` does the same to an environment).
+        What was cut is masked after its end, in :meth:`trajectories`, as it is here.
+
+        Args:
+            horizon: T; None: that of the longest.
+
+        Raises:
+            ValueError: one of them is longer.
+        """
+        if self.absorbing:
+            return self.padded(horizon or self.horizon)
+        data = self.padded(horizon or self.horizon)
+        observation = with_indicator(data.observation, data.lengths, data.ended)
+        return replace(
+            data,
+            observation=observation,
+            length=data.lengths,
+            terminated=data.ended,
+            absorbing=True,
         )
 
     def trajectories(self, index: Index | None = None) -> TensorDict:
@@ -108,6 +178,9 @@ class DemonstrationDataset:
         Returns:
             TensorDict with batch_size ``[n]`` (not ``[n, T]``: an encoder reduces time) and leaves
             ``observation [n, T, S]``, ``action [n, T, A]``, ``("next", "observation") [n, T, S]``.
+            Where some were cut (or ended, and there are no absorbing states): ``mask [n, T]``,
+            False for padding. With absorbing states: ``absorbing [n, T]``, True for the steps that
+            begin in one.
         """
         rows = slice(None) if index is None else self._rows(index)
         observation, action = self.observation[rows], self.action[rows]
@@ -116,9 +189,22 @@ class DemonstrationDataset:
                 "observation": observation[:, :-1],
                 "action": action,
                 "next": {"observation": observation[:, 1:]},
+                **{name: flags[rows] for name, flags in self._flags().items()},
             },
             batch_size=[action.shape[0]],
         )
+
+    def _flags(self) -> dict[str, Tensor]:
+        """What tells steps apart, ``[M, T]`` each; nothing where all are a demonstrator's."""
+        if self.length is None:
+            return {}
+        after = steps_after(self.length, self.horizon)
+        if not self.absorbing:
+            return {"mask": ~after}
+        flags = {"absorbing": after & self.ended.unsqueeze(-1)}
+        if self.cut.any():
+            flags["mask"] = ~(after & self.cut.unsqueeze(-1))
+        return flags
 
     def tasks(self, index: Index | None = None) -> TensorDictBase:
         """Return ground-truth task parameters with batch_size ``[n]``, for metrics only.
@@ -141,25 +227,32 @@ class DemonstrationDataset:
         episodes: Iterable[tuple[ArrayLike, ArrayLike]],
         provenance: Provenance | None = None,
         task: Mapping[str, ArrayLike] | TensorDictBase | None = None,
+        *,
+        terminated: bool | Sequence[bool] | None = None,
     ) -> DemonstrationDataset:
-        """Build a dataset of ``(observation [T+1, S], action [T, A])`` pairs of arrays or tensors.
+        """Build a dataset of ``(observation [L+1, S], action [L, A])`` pairs of arrays or tensors.
 
         Args:
-            episodes: one pair per demonstration, all of one horizon.
+            episodes: one pair per demonstration, of one length or of several.
             provenance: where they come from.
             task: ground truth, a mapping of name to ``[M, ...]``.
+            terminated: whether episodes ended by themselves (a goal reached, a fall), or were cut;
+                for all, or for each. None: what is shorter than the longest ended.
 
         Raises:
-            ValueError: mixed horizons or dimensions, an off-by-one, NaN, something else than real
-                numbers, or a feature that float32 cannot tell apart; the episodes are named.
+            ValueError: mixed dimensions, an off-by-one, NaN, something else than real numbers, or a
+                feature that float32 cannot tell apart; the episodes are named.
         """
         pairs = [_pair(i, episode) for i, episode in enumerate(episodes)]
-        observation, action = stack_episodes(pairs)
+        observation, action, length = stack_episodes(pairs)
+        several = bool((length < action.shape[1]).any())
         return cls(
             narrowed("observation", observation),
             narrowed("action", action),
             provenance or Provenance(),
             _task(task, len(pairs)),
+            length if several else None,
+            _flags_of(terminated, len(pairs)),
         )
 
     @classmethod
@@ -174,7 +267,9 @@ class DemonstrationDataset:
         Args:
             rollouts: batch_size ``[M, T]`` with ``observation``, ``action``,
                 ``("next", "observation")`` and, under ``task_key``, task parameters that are
-                constant in time (their absence makes a dataset without ground truth).
+                constant in time (their absence makes a dataset without ground truth). Where
+                ``("next", "done")`` says that a row ended before T, its first episode is taken, and
+                ``("next", "terminated")`` says how it ended.
             provenance: where they come from.
             task_key: where the ground truth is; None ignores it.
 
@@ -185,16 +280,24 @@ class DemonstrationDataset:
         if rollouts.ndim != 2:
             raise ValueError(f"rollouts have batch_size {list(rollouts.shape)}; expected [M, T]")
         observation, following = rollouts["observation"], rollouts["next", "observation"]
-        _check_constant("were reset on the way", observation[:, 1:], following[:, :-1])
+        length, terminated = _first_ends(rollouts)
+        inside = ~steps_after(length, rollouts.shape[1])[:, 1:]  # [M, T-1]
+        _check_constant("were reset on the way", observation[:, 1:], following[:, :-1], inside)
         task = None if task_key is None else rollouts.get(task_key, None)
         if task is not None:
             for value in task.values(include_nested=True, leaves_only=True):
-                _check_constant("changed their task on the way", value[:, 1:], value[:, :-1])
+                what = "changed their task on the way"
+                _check_constant(what, value[:, 1:], value[:, :-1], inside)
             task = task[:, 0].clone()
         observation = torch.cat([observation, following[:, -1:]], dim=1)  # [M, T+1, S]
+        action = rollouts["action"]
+        if bool((length < rollouts.shape[1]).any()):
+            rows = [*zip(observation, following, action, length.tolist(), strict=True)]
+            pairs = [(torch.cat([o[:n], f[n - 1 : n]]), a[:n]) for o, f, a, n in rows]
+            return cls.from_episodes(pairs, provenance, task, terminated=terminated.tolist())
         observation, action = (
             narrowed(name, wide_tensor(value, name))
-            for name, value in (("observation", observation), ("action", rollouts["action"]))
+            for name, value in (("observation", observation), ("action", action))
         )
         return cls(observation, action, provenance, task)
 
@@ -205,8 +308,25 @@ class DemonstrationDataset:
 
         Raises:
             OSError: it cannot be written; the message names the file and says what to do.
+            ValueError: these have absorbing states: a file holds what was demonstrated.
         """
-        write_demonstrations(path, self.observation, self.action, self.task, self.provenance)
+        self._check_demonstrated()
+        write_demonstrations(
+            path,
+            self.observation,
+            self.action,
+            self.task,
+            self.provenance,
+            self.length,
+            self.terminated,
+        )
+
+    def _check_demonstrated(self) -> None:
+        if self.absorbing:
+            raise ValueError(
+                "these demonstrations go on in absorbing states after their end; save those that "
+                "with_absorbing_states was called on"
+            )
 
     @classmethod
     def load(cls, path: str | Path) -> DemonstrationDataset:
@@ -218,9 +338,9 @@ class DemonstrationDataset:
                 are no part of the schema, or contents that :meth:`validate` rejects. The message
                 names the file, and the episodes where some are at fault.
         """
-        observation, action, task, provenance = read_demonstrations(path)
+        observation, action, task, provenance, length, ended = read_demonstrations(path)
         try:
-            return cls(observation, action, provenance, task)
+            return cls(observation, action, provenance, task, length, ended)
         except ValueError as error:
             raise ValueError(f"{expanded(path)}: {error}") from error
 
@@ -231,8 +351,14 @@ class DemonstrationDataset:
             dataset_id: ``(namespace/)(environment/)name-v<version>``.
             described: ``author``, ``author_email``, ``code_permalink``, ... for Minari's metadata.
         """
+        self._check_demonstrated()
         metadata = {"provenance": asdict(self.provenance)}
-        write_minari(dataset_id, self.observation, self.action, self.task, metadata, **described)
+        episodes = [
+            (o[: n + 1], a[:n])
+            for o, a, n in zip(self.observation, self.action, self.lengths.tolist(), strict=True)
+        ]
+        ended = self.ended if self.terminated is None else self.terminated
+        write_minari(dataset_id, episodes, ended.tolist(), self.task, metadata, **described)
 
     @classmethod
     def from_minari(cls, dataset_id: str) -> DemonstrationDataset:
@@ -240,10 +366,10 @@ class DemonstrationDataset:
 
         Raises:
             ImportError: the ``minari`` extra is not installed.
-            ValueError: its episodes do not share one horizon, hold something else than vectors, or
-                a feature that float32 cannot tell apart.
+            ValueError: its episodes hold something else than vectors, or a feature that float32
+                cannot tell apart.
         """
-        episodes, task, metadata = read_minari(dataset_id)
+        episodes, ended, task, metadata = read_minari(dataset_id)
         if metadata is None:
             provenance = Provenance(environment=dataset_id)
         else:
@@ -251,13 +377,28 @@ class DemonstrationDataset:
             stored = check_fields(metadata, {"provenance": dict}, what)["provenance"]
             provenance = parse_provenance(stored, what)
         try:
-            return cls.from_episodes(episodes, provenance, task)
+            differ = any(ended) or len({len(action) for _, action in episodes}) > 1
+            terminated = ended if differ else None
+            return cls.from_episodes(episodes, provenance, task, terminated=terminated)
         except ValueError as error:
             raise ValueError(f"{dataset_id}: {error}") from error
 
 
-def _check_constant(what: str, later: Tensor, earlier: Tensor) -> None:
-    bad = (later != earlier).flatten(1).any(1).nonzero().flatten().tolist()
+def _first_ends(rollouts: TensorDictBase) -> tuple[Tensor, Tensor]:
+    """The length of the first episode of each row, ``[M]``, and whether it ended by itself."""
+    rows, horizon = rollouts.shape
+    done, terminated = (
+        torch.zeros(rows, horizon, dtype=torch.bool) if flag is None else flag.view(rows, horizon)
+        for flag in (rollouts.get(("next", name), None) for name in ("done", "terminated"))
+    )
+    last = torch.where(done.any(1), done.int().argmax(1), horizon - 1)
+    return last + 1, terminated[torch.arange(rows), last]
+
+
+def _check_constant(what: str, later: Tensor, earlier: Tensor, inside: Tensor) -> None:
+    """Raise unless ``[M, T-1, ...]`` are equal wherever ``inside`` ``[M, T-1]``."""
+    differ = (later != earlier).reshape(*inside.shape, -1).any(-1) & inside
+    bad = differ.any(1).nonzero().flatten().tolist()
     if bad:
         raise ValueError(f"episodes {bad[:5]} {what}; expected one whole episode per row")
 
@@ -273,6 +414,18 @@ def _pair(index: int, episode: Any) -> tuple[Tensor, Tensor]:
         wide_tensor(observation, f"episode {index}: observation"),
         wide_tensor(action, f"episode {index}: action"),
     )
+
+
+def _flags_of(terminated: bool | Sequence[bool] | None, episodes: int) -> Tensor | None:
+    if terminated is None:
+        return None
+    flags = [terminated] * episodes if isinstance(terminated, bool) else list(terminated)
+    if len(flags) != episodes:
+        raise ValueError(
+            f"terminated has {len(flags)} entries; expected one, or one for each of {episodes} "
+            "episodes"
+        )
+    return torch.tensor(flags, dtype=torch.bool)
 
 
 def _task(

@@ -10,13 +10,14 @@ from torch import nn
 
 from pemirl_trl.configuration import CHECKED, Count, Index, Positive, Share
 from pemirl_trl.modules.actors import ContextPolicy
+from pemirl_trl.modules.attention_encoder import AttentionContextEncoder
 from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder, NoContext
 from pemirl_trl.modules.discriminator import GAILDiscriminator
 from pemirl_trl.modules.family import TrainingFamily
 from pemirl_trl.modules.reward import ShapedReward
 from pemirl_trl.modules.standardize import Standardize
 
-EncoderKind = Literal["flat", "masked"]
+EncoderKind = Literal["flat", "masked", "attention"]
 RewardKind = Literal["shaped", "gail"]
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
 
@@ -27,8 +28,8 @@ class ModelConfig:
 
     Attributes:
         context_dim: D, dimension of the latent context; 0 for methods that know none.
-        encoder: ``"flat"``, an MLP on the whole trajectory (the paper's), or ``"masked"``, the
-            average of embedded steps, for trajectories of any length.
+        encoder: ``"flat"``, an MLP on the whole trajectory (the paper's), or, for trajectories of
+            any length, ``"attention"``, or ``"masked"``, the average of embedded steps.
         reward: ``"shaped"``, AIRL's r and h, or ``"gail"``, the logit of GAIL's D(s, a).
         encoder_hidden, policy_hidden, reward_hidden: widths of the hidden layers.
         reward_gamma: discount of the potential in f.
@@ -93,15 +94,16 @@ class PEMIRLModel(nn.Module):
         self.reward = self._new_reward()
         self.policy = self.new_policy()
 
-    def _new_encoder(self) -> ContextEncoder | MaskedContextEncoder | NoContext:
+    def _new_encoder(
+        self,
+    ) -> ContextEncoder | MaskedContextEncoder | AttentionContextEncoder | NoContext:
         c = self.config
         if c.context_dim == 0:
             return NoContext()
         sizes = (self.observation_dim, self.action_dim, c.context_dim)
-        if c.encoder == "masked":
-            return MaskedContextEncoder(
-                *sizes, hidden=c.encoder_hidden, standardize=self.standardize
-            )
+        if c.encoder != "flat":
+            kind = MaskedContextEncoder if c.encoder == "masked" else AttentionContextEncoder
+            return kind(*sizes, hidden=c.encoder_hidden, standardize=self.standardize)
         return ContextEncoder(
             *sizes, self.horizon, hidden=c.encoder_hidden, standardize=self.standardize
         )

@@ -175,7 +175,7 @@ def _has(*names: str) -> Callable[[Any], bool]:
 ENCODER = Part(
     "an encoder",
     "encoder",
-    "ContextEncoder, MaskedContextEncoder or NoContext",
+    "ContextEncoder, AttentionContextEncoder, MaskedContextEncoder or NoContext",
     _has("get_dist", "context_dim"),
 )
 REWARD = Part(
