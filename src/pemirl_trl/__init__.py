@@ -14,6 +14,8 @@ context                  [N, T, D]   m            InferContext, once per rollout
 context_loc              [N, D]      mean of q    ContextEncoder
 context_scale            [N, D]      deviation    ContextEncoder
 demonstration            [N, T]      index        InferContext: which demonstration m is from
+mask                     [N, T]                   demonstrations: False for padding, if there is any
+absorbing                [N, T]                   AbsorbingState: the episode ended before this step
 loc, scale               [N, T, A]                ContextPolicy: parameters of pi at collection
 action_log_prob          [N, T]      log pi       ContextPolicy, at collection
 learned_reward           [..., 1]    r_theta      ShapedReward
@@ -58,7 +60,7 @@ from pemirl_trl.objectives import (
 )
 from pemirl_trl.optim import TrustRegionOptimizer, TrustRegionResult
 from pemirl_trl.pretrained import load_model, save_model
-from pemirl_trl.transforms import InferContext, LearnedReward, SampleTasks
+from pemirl_trl.transforms import AbsorbingState, InferContext, LearnedReward, SampleTasks
 
 if TYPE_CHECKING:
     from pemirl_trl.methods import (
@@ -74,6 +76,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "AIRLDiscriminator",
+    "AbsorbingState",
     "Adaptation",
     "AttentionContextEncoder",
     "ContextEncoder",

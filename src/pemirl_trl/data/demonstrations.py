@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 
-from pemirl_trl.data.conversion import narrowed, plain_tensor, task_batch, wide_tensor
+from pemirl_trl.data.conversion import narrowed, wide_tensor
 from pemirl_trl.data.demonstration_file import read_demonstrations, write_demonstrations
+from pemirl_trl.data.episodes import check_constant, first_episodes, flags_of, pair_of, task_of
 from pemirl_trl.data.lengths import lengthened, steps_after, with_indicator
 from pemirl_trl.data.minari_format import read_minari, write_minari
 from pemirl_trl.data.provenance import Provenance, parse_provenance
@@ -200,7 +201,7 @@ class DemonstrationDataset:
             return {}
         after = steps_after(self.length, self.horizon)
         if not self.absorbing:
-            return {"mask": ~after}
+            return {"mask": ~after} if after.any() else {}
         flags = {"absorbing": after & self.ended.unsqueeze(-1)}
         if self.cut.any():
             flags["mask"] = ~(after & self.cut.unsqueeze(-1))
@@ -229,6 +230,7 @@ class DemonstrationDataset:
         task: Mapping[str, ArrayLike] | TensorDictBase | None = None,
         *,
         terminated: bool | Sequence[bool] | None = None,
+        horizon: int | None = None,
     ) -> DemonstrationDataset:
         """Build a dataset of ``(observation [L+1, S], action [L, A])`` pairs of arrays or tensors.
 
@@ -237,23 +239,25 @@ class DemonstrationDataset:
             provenance: where they come from.
             task: ground truth, a mapping of name to ``[M, ...]``.
             terminated: whether episodes ended by themselves (a goal reached, a fall), or were cut;
-                for all, or for each. None: what is shorter than the longest ended.
+                for all, or for each. None: what is shorter than T ended.
+            horizon: T, how long an episode can be; None: as long as the longest of these.
 
         Raises:
             ValueError: mixed dimensions, an off-by-one, NaN, something else than real numbers, or a
                 feature that float32 cannot tell apart; the episodes are named.
         """
-        pairs = [_pair(i, episode) for i, episode in enumerate(episodes)]
+        pairs = [pair_of(i, episode) for i, episode in enumerate(episodes)]
         observation, action, length = stack_episodes(pairs)
         several = bool((length < action.shape[1]).any())
-        return cls(
+        dataset = cls(
             narrowed("observation", observation),
             narrowed("action", action),
             provenance or Provenance(),
-            _task(task, len(pairs)),
+            task_of(task, len(pairs)),
             length if several else None,
-            _flags_of(terminated, len(pairs)),
+            flags_of(terminated, len(pairs)),
         )
+        return dataset if horizon is None else dataset.padded(horizon)
 
     @classmethod
     def from_rollouts(
@@ -280,21 +284,22 @@ class DemonstrationDataset:
         if rollouts.ndim != 2:
             raise ValueError(f"rollouts have batch_size {list(rollouts.shape)}; expected [M, T]")
         observation, following = rollouts["observation"], rollouts["next", "observation"]
-        length, terminated = _first_ends(rollouts)
+        length, terminated = first_episodes(rollouts)
         inside = ~steps_after(length, rollouts.shape[1])[:, 1:]  # [M, T-1]
-        _check_constant("were reset on the way", observation[:, 1:], following[:, :-1], inside)
+        check_constant("were reset on the way", observation[:, 1:], following[:, :-1], inside)
         task = None if task_key is None else rollouts.get(task_key, None)
         if task is not None:
             for value in task.values(include_nested=True, leaves_only=True):
                 what = "changed their task on the way"
-                _check_constant(what, value[:, 1:], value[:, :-1], inside)
+                check_constant(what, value[:, 1:], value[:, :-1], inside)
             task = task[:, 0].clone()
         observation = torch.cat([observation, following[:, -1:]], dim=1)  # [M, T+1, S]
         action = rollouts["action"]
         if bool((length < rollouts.shape[1]).any()):
             rows = [*zip(observation, following, action, length.tolist(), strict=True)]
             pairs = [(torch.cat([o[:n], f[n - 1 : n]]), a[:n]) for o, f, a, n in rows]
-            return cls.from_episodes(pairs, provenance, task, terminated=terminated.tolist())
+            ends, horizon = terminated.tolist(), rollouts.shape[1]
+            return cls.from_episodes(pairs, provenance, task, terminated=ends, horizon=horizon)
         observation, action = (
             narrowed(name, wide_tensor(value, name))
             for name, value in (("observation", observation), ("action", action))
@@ -382,56 +387,3 @@ class DemonstrationDataset:
             return cls.from_episodes(episodes, provenance, task, terminated=terminated)
         except ValueError as error:
             raise ValueError(f"{dataset_id}: {error}") from error
-
-
-def _first_ends(rollouts: TensorDictBase) -> tuple[Tensor, Tensor]:
-    """The length of the first episode of each row, ``[M]``, and whether it ended by itself."""
-    rows, horizon = rollouts.shape
-    done, terminated = (
-        torch.zeros(rows, horizon, dtype=torch.bool) if flag is None else flag.view(rows, horizon)
-        for flag in (rollouts.get(("next", name), None) for name in ("done", "terminated"))
-    )
-    last = torch.where(done.any(1), done.int().argmax(1), horizon - 1)
-    return last + 1, terminated[torch.arange(rows), last]
-
-
-def _check_constant(what: str, later: Tensor, earlier: Tensor, inside: Tensor) -> None:
-    """Raise unless ``[M, T-1, ...]`` are equal wherever ``inside`` ``[M, T-1]``."""
-    differ = (later != earlier).reshape(*inside.shape, -1).any(-1) & inside
-    bad = differ.any(1).nonzero().flatten().tolist()
-    if bad:
-        raise ValueError(f"episodes {bad[:5]} {what}; expected one whole episode per row")
-
-
-def _pair(index: int, episode: Any) -> tuple[Tensor, Tensor]:
-    try:
-        observation, action = episode
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"episode {index} is a {type(episode).__name__}; expected a pair (observation, action)"
-        ) from error
-    return (
-        wide_tensor(observation, f"episode {index}: observation"),
-        wide_tensor(action, f"episode {index}: action"),
-    )
-
-
-def _flags_of(terminated: bool | Sequence[bool] | None, episodes: int) -> Tensor | None:
-    if terminated is None:
-        return None
-    flags = [terminated] * episodes if isinstance(terminated, bool) else list(terminated)
-    if len(flags) != episodes:
-        raise ValueError(
-            f"terminated has {len(flags)} entries; expected one, or one for each of {episodes} "
-            "episodes"
-        )
-    return torch.tensor(flags, dtype=torch.bool)
-
-
-def _task(
-    task: Mapping[str, ArrayLike] | TensorDictBase | None, episodes: int
-) -> TensorDictBase | None:
-    if task is None or isinstance(task, TensorDictBase):
-        return task
-    values = {name: plain_tensor(value, f"task entry {name!r}") for name, value in task.items()}
-    return task_batch(values, episodes)

@@ -149,7 +149,7 @@ def adapt_in_stages(
     Raises:
         ValueError, TrainingDiverged: as there.
     """
-    check_demonstrations(model, demonstrations)
+    demonstrations = check_demonstrations(model, demonstrations)
     train = _Training(model, demonstrations, make_env, run_stage, seed)
     carried = model.trained_policy(config.policy_scale)
     carried_return = train.learned_return(carried)

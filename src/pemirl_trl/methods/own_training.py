@@ -12,6 +12,7 @@ import torch
 
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.defaults import found_for_meta_training, meta_training_config, table
+from pemirl_trl.methods.early_ends import for_training
 from pemirl_trl.methods.environments import Episodes, MakeEnv
 from pemirl_trl.methods.meta_il import MetaIL
 from pemirl_trl.methods.meta_training import MethodConfig, build, new_model, start_from
@@ -41,7 +42,9 @@ def meta_train(
 
     Args:
         make_env: ``make_env(num_envs, seed)`` makes the environment of the demonstrations, with
-            continuous actions and episodes as long as they are; see :data:`MakeEnv`.
+            continuous actions. Its episodes are as long as the longest demonstration, or end by
+            themselves (``terminated``) before; see :class:`pemirl_trl.AbsorbingState` and
+            :data:`MakeEnv`.
         demonstrations: of many tasks, one or more of each; or the file of them.
         preset: ``"robust"``, whose rewards transfer where observations are what the task is about;
             ``"contrastive"``, where a body or an object stands in between (needs ``task_space``);
@@ -86,6 +89,7 @@ def meta_train_in_stages(
     Raises:
         ValueError, TrainingDiverged: as there.
     """
+    demonstrations, config = for_training(make_env, demonstrations, config, seed)
     torch.manual_seed(seed)
     meta_il = new_model(demonstrations, config, task_space=task_space)
     episodes = Episodes(make_env, meta_il, demonstrations, seed)
@@ -131,6 +135,9 @@ def as_dataset(demonstrations: DemonstrationDataset | str | Path) -> Demonstrati
 def digest(demonstrations: DemonstrationDataset) -> str:
     """What tells demonstrations from others: a hash of their observations and actions."""
     content = hashlib.sha256()
-    for values in (demonstrations.observation, demonstrations.action):
+    d = demonstrations
+    for values in (d.observation, d.action, d.length, d.terminated):
+        if values is None:
+            continue
         content.update(values.detach().cpu().contiguous().numpy().tobytes())
     return content.hexdigest()

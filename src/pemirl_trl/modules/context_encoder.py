@@ -226,7 +226,20 @@ class ContextEncoder(GaussianContext):
             net, head, standardize or Standardize.identity(observation_dim), horizon
         )
         super().__init__(flat, context_dim, ["observation", "action"], context_key)
+        self.horizon = horizon
         self.action_key: NestedKey = "action"
+
+    def _trajectories(self, data: Any) -> Any:
+        data = super()._trajectories(data)
+        mask = data.get("mask", None) if is_tensor_collection(data) else None
+        if mask is not None and not bool(mask.all()):
+            raise ValueError(
+                f"this encoder reads all {self.horizon} steps of a trajectory, and "
+                f"{int((~mask.all(-1)).sum())} of these have padding; give the model "
+                "encoder='attention', which takes any length, or demonstrations that go on to the "
+                "horizon (DemonstrationDataset.with_absorbing_states, if they ended by themselves)"
+            )
+        return data
 
 
 class _NothingNet(nn.Module):

@@ -36,6 +36,8 @@ class ModelConfig:
         policy_scale: the policy's deviation before training.
         reward_features: which components of an observation r reads; None: all (the paper). See
             :class:`ShapedReward`; GAIL's D has no such choice.
+        absorbing: whether the last component of an observation says that the episode has ended;
+            see :class:`pemirl_trl.AbsorbingState`.
     """
 
     context_dim: Index = 3
@@ -47,6 +49,7 @@ class ModelConfig:
     reward_gamma: Share = 0.99
     policy_scale: Positive = 1.0
     reward_features: Sequence[Index] | None = None
+    absorbing: bool = False
 
 
 class PEMIRLModel(nn.Module):
