@@ -66,7 +66,7 @@ class EpisodeCollector:
                 "that end by themselves need AbsorbingState and a model that knows of ends "
                 "(model.absorbing=true); a time limit is that of the demonstrations"
             )
-        if "absorbing" in rollouts:
+        if "absorbing" in rollouts and rollouts["absorbing"].any():
             _settle(rollouts, self._policy)
         self.env_steps += self.frames
         return rollouts
