@@ -1,7 +1,7 @@
 """One demonstration in, its reward out: the puck of puck.py, with the library's defaults.
 
-``python examples/own_puck/run_puck.py 0 1 2`` writes ``results/own_tasks/puck/seed<n>.json`` for each
-seed, some minutes each. True returns are for this report; no learner reads them.
+``python examples/own_puck/run_puck.py 0 1 2`` writes ``results/own_tasks/puck/seed<n>.json`` for
+each seed, some minutes each. True returns are for this report; no learner reads them.
 """
 
 from __future__ import annotations
@@ -64,26 +64,24 @@ def run(seed: int, training: dict[str, Any], optimization: dict[str, Any]) -> di
         sample=False,
         tasks=new.tasks(),
     )
-    gates = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=EPISODES)
     oracle = reinforcement_learning(model, new, seed, optimization)
-    scores = {
-        "expert": score(gates, act),
-        "random": score(gates, None),
-        "carried_over": score(inferred, model.policy),
-        "adapted": score(inferred, adaptation.policy),
-        "rl_with_true_reward": score(gates, oracle),
-        "one_shot": score(inferred, model.policy, push=1.0),
+    actors: dict[str, tuple[Actor, float]] = {
+        "expert": (act, SHIFT),
+        "random": (None, SHIFT),
+        "carried_over": (model.policy, SHIFT),
+        "adapted": (adaptation.policy, SHIFT),
+        "rl_with_true_reward": (oracle, SHIFT),
+        "one_shot": (model.policy, 1.0),
     }
-    returns = {name: each for name, (each, _) in scores.items()}
-    means = {name: sum(each) / len(each) for name, each in returns.items()}
+    scores = {name: score(model, inferred, *acting) for name, acting in actors.items()}
+    means = {name: sum(each["returns"]) / len(new) for name, each in scores.items()}
     worst, best = means["carried_over"], means["rl_with_true_reward"]
     return {
         "task": "own_tasks/puck",
         "seed": seed,
         "gap_closed": (means["adapted"] - worst) / (best - worst),
         "means": means,
-        "per_gate": returns,
-        "leaves_the_table": {name: share for name, (_, share) in scores.items()},
+        "scores": scores,
         "demonstrated_lengths": pile.lengths.tolist(),
         "kept": adaptation.kept,
         "start": adaptation.start,
@@ -114,16 +112,28 @@ def act(td: TensorDictBase) -> TensorDictBase:
     return td.set("action", task.controller(td["observation"], td["task", "gate"], SHIFT))
 
 
-def score(transform: Transform, actor: Actor, push: float = SHIFT) -> tuple[list[float], float]:
-    """True returns, one a gate, and the share of episodes that end.
+def score(
+    model: PEMIRLModel, transform: Transform, actor: Actor, push: float
+) -> dict[str, list[float]]:
+    """Of the mean action, in the same episodes for all; one number a gate.
 
-    Of the mean action, in the same episodes for all.
+    Returns:
+        True returns; learned ones; shares of episodes that leave the table; and where they end, in
+        metres from the gate.
     """
     torch.manual_seed(0)
     env = environment(10 * EPISODES, 30_000, transform.clone(), push)
     rollouts = whole_episodes(env, actor, task.T)
-    ended = rollouts["next", "absorbing"][:, -1].float().mean()
-    return returns_per_task(rollouts, EPISODES).tolist(), float(ended)
+    last, gate = rollouts["next", "observation"][:, -1], rollouts["task", "gate"][:, -1]
+    with torch.no_grad():
+        learned = model.reward.reward(rollouts["observation"], rollouts["context"])
+    each = {
+        "learned_returns": learned.sum((1, 2)),
+        "leaves": last[:, -1],
+        "end_to_gate": (last[:, :2] - gate).norm(dim=-1),
+    }
+    means = {name: values.view(-1, EPISODES).mean(1).tolist() for name, values in each.items()}
+    return {"returns": returns_per_task(rollouts, EPISODES).tolist(), **means}
 
 
 def reinforcement_learning(
