@@ -14,6 +14,7 @@ from torch import Tensor
 
 from pemirl_trl.data.conversion import narrowed, wide_tensor
 from pemirl_trl.data.demonstration_file import read_demonstrations, write_demonstrations
+from pemirl_trl.data.entries import action_vectors, is_one_hot
 from pemirl_trl.data.episodes import check_constant, first_episodes, flags_of, pair_of, task_of
 from pemirl_trl.data.lengths import lengthened, steps_after, with_indicator
 from pemirl_trl.data.minari_format import read_minari, write_minari
@@ -34,7 +35,7 @@ class DemonstrationDataset:
     field          shape, dtype   what it is
     ============== ============== ==============================================================
     observation    [M, T+1, S]    float32; the last one is what the last action led to
-    action         [M, T, A]      float32
+    action         [M, T, A]      float32; discrete ones are one-hot, of A choices
     provenance                    :class:`Provenance`
     task           batch_size [M] ground-truth task parameters, or None. For metrics only: they
                                   never enter :meth:`trajectories`, so no learner sees them.
@@ -113,6 +114,11 @@ class DemonstrationDataset:
     def action_dim(self) -> int:
         """Dimension A of an action."""
         return self.action.shape[2]
+
+    @property
+    def discrete(self) -> bool:
+        """Whether actions are choices: all of them one-hot."""
+        return is_one_hot(self.action)
 
     def __getitem__(self, index: Index) -> DemonstrationDataset:
         """Return the chosen demonstrations (an int chooses one) as a dataset."""
@@ -225,12 +231,14 @@ class DemonstrationDataset:
     @classmethod
     def from_episodes(
         cls,
-        episodes: Iterable[tuple[ArrayLike, ArrayLike]],
+        episodes: Iterable[tuple[ArrayLike | Mapping[str, Any], ArrayLike]],
         provenance: Provenance | None = None,
         task: Mapping[str, ArrayLike] | TensorDictBase | None = None,
         *,
         terminated: bool | Sequence[bool] | None = None,
         horizon: int | None = None,
+        discrete_actions: int | None = None,
+        observation_keys: Sequence[str] | None = None,
     ) -> DemonstrationDataset:
         """Build a dataset of ``(observation [L+1, S], action [L, A])`` pairs of arrays or tensors.
 
@@ -241,12 +249,27 @@ class DemonstrationDataset:
             terminated: whether episodes ended by themselves (a goal reached, a fall), or were cut;
                 for all, or for each. None: what is shorter than T ended.
             horizon: T, how long an episode can be; None: as long as the longest of these.
+            discrete_actions: n, where actions are integers ``[L]`` from 0 to n - 1.
+            observation_keys: which entries of observations that are mappings of arrays
+                ``[L+1, ...]`` make the vector, in this order; ``"arm.angle"`` is nested.
 
         Raises:
-            ValueError: mixed dimensions, an off-by-one, NaN, something else than real numbers, or a
-                feature that float32 cannot tell apart; the episodes are named.
+            ValueError: mixed dimensions, an off-by-one, NaN, something else than real numbers,
+                actions or entries that are not there, or a feature that float32 cannot tell apart;
+                the episodes are named.
+
+        Example:
+            >>> walk = {"place": [[0], [1], [2]], "speed": [[0], [1], [1]]}, [2, 0]
+            >>> data = DemonstrationDataset.from_episodes(
+            ...     [walk], discrete_actions=3, observation_keys=["speed", "place"]
+            ... )
+            >>> data.observation[0, 2], data.action[0, 0], data.discrete
+            (tensor([1., 2.]), tensor([0., 0., 1.]), True)
         """
-        pairs = [pair_of(i, episode) for i, episode in enumerate(episodes)]
+        pairs = [
+            pair_of(i, episode, discrete_actions, observation_keys)
+            for i, episode in enumerate(episodes)
+        ]
         observation, action, length = stack_episodes(pairs)
         several = bool((length < action.shape[1]).any())
         dataset = cls(
@@ -265,6 +288,8 @@ class DemonstrationDataset:
         rollouts: TensorDictBase,
         provenance: Provenance,
         task_key: NestedKey | None = "task",
+        *,
+        discrete_actions: int | None = None,
     ) -> DemonstrationDataset:
         """Build a dataset of whole episodes collected by TorchRL.
 
@@ -276,6 +301,7 @@ class DemonstrationDataset:
                 ``("next", "terminated")`` says how it ended.
             provenance: where they come from.
             task_key: where the ground truth is; None ignores it.
+            discrete_actions: n, where actions are indices ``[M, T]`` and not one-hot.
 
         Raises:
             ValueError: not ``[M, T]``, an episode that was reset on the way, or whose task changed,
@@ -294,17 +320,14 @@ class DemonstrationDataset:
                 check_constant(what, value[:, 1:], value[:, :-1], inside)
             task = task[:, 0].clone()
         observation = torch.cat([observation, following[:, -1:]], dim=1)  # [M, T+1, S]
-        action = rollouts["action"]
+        action = action_vectors(rollouts["action"], discrete_actions, "action", leading=2)
         if bool((length < rollouts.shape[1]).any()):
             rows = [*zip(observation, following, action, length.tolist(), strict=True)]
             pairs = [(torch.cat([o[:n], f[n - 1 : n]]), a[:n]) for o, f, a, n in rows]
             ends, horizon = terminated.tolist(), rollouts.shape[1]
             return cls.from_episodes(pairs, provenance, task, terminated=ends, horizon=horizon)
-        observation, action = (
-            narrowed(name, wide_tensor(value, name))
-            for name, value in (("observation", observation), ("action", action))
-        )
-        return cls(observation, action, provenance, task)
+        observation = narrowed("observation", wide_tensor(observation, "observation"))
+        return cls(observation, narrowed("action", action), provenance, task)
 
     # --- files ---------------------------------------------------------------------------------
 
@@ -358,23 +381,31 @@ class DemonstrationDataset:
         """
         self._check_demonstrated()
         metadata = {"provenance": asdict(self.provenance)}
+        action = self.action.argmax(-1) if self.discrete else self.action
+        choices = self.action_dim if self.discrete else None
         episodes = [
             (o[: n + 1], a[:n])
-            for o, a, n in zip(self.observation, self.action, self.lengths.tolist(), strict=True)
+            for o, a, n in zip(self.observation, action, self.lengths.tolist(), strict=True)
         ]
-        ended = self.ended if self.terminated is None else self.terminated
-        write_minari(dataset_id, episodes, ended.tolist(), self.task, metadata, **described)
+        ended = (self.ended if self.terminated is None else self.terminated).tolist()
+        write_minari(dataset_id, episodes, ended, self.task, metadata, choices=choices, **described)
 
     @classmethod
-    def from_minari(cls, dataset_id: str) -> DemonstrationDataset:
+    def from_minari(
+        cls, dataset_id: str, *, observation_keys: Sequence[str] | None = None
+    ) -> DemonstrationDataset:
         """Read a local Minari dataset, written by :meth:`to_minari` or by anyone.
+
+        Args:
+            dataset_id: its name; its discrete actions become one-hot.
+            observation_keys: of observations that are dictionaries; see :meth:`from_episodes`.
 
         Raises:
             ImportError: the ``minari`` extra is not installed.
-            ValueError: its episodes hold something else than vectors, or a feature that float32
-                cannot tell apart.
+            ValueError: its episodes hold something else than vectors (or choices, as actions), or a
+                feature that float32 cannot tell apart.
         """
-        episodes, ended, task, metadata = read_minari(dataset_id)
+        episodes, ended, task, metadata, choices = read_minari(dataset_id)
         if metadata is None:
             provenance = Provenance(environment=dataset_id)
         else:
@@ -383,7 +414,13 @@ class DemonstrationDataset:
             provenance = parse_provenance(stored, what)
         try:
             differ = any(ended) or len({len(action) for _, action in episodes}) > 1
-            terminated = ended if differ else None
-            return cls.from_episodes(episodes, provenance, task, terminated=terminated)
+            return cls.from_episodes(
+                episodes,
+                provenance,
+                task,
+                terminated=ended if differ else None,
+                discrete_actions=choices,
+                observation_keys=observation_keys,
+            )
         except ValueError as error:
             raise ValueError(f"{dataset_id}: {error}") from error

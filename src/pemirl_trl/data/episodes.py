@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from pemirl_trl.data.conversion import plain_tensor, task_batch, wide_tensor
+from pemirl_trl.data.conversion import plain_tensor, task_batch
+from pemirl_trl.data.entries import action_vectors, observation_vectors
 
 __all__ = ["check_constant", "first_episodes", "flags_of", "pair_of", "task_of"]
 
@@ -39,7 +40,9 @@ def check_constant(what: str, later: Tensor, earlier: Tensor, inside: Tensor) ->
         raise ValueError(f"episodes {bad[:5]} {what}; expected one whole episode per row")
 
 
-def pair_of(index: int, episode: Any) -> tuple[Tensor, Tensor]:
+def pair_of(
+    index: int, episode: Any, choices: int | None = None, keys: Sequence[str] | None = None
+) -> tuple[Tensor, Tensor]:
     """The observations and actions of an episode, wide; raise ValueError if it is no pair."""
     try:
         observation, action = episode
@@ -48,8 +51,8 @@ def pair_of(index: int, episode: Any) -> tuple[Tensor, Tensor]:
             f"episode {index} is a {type(episode).__name__}; expected a pair (observation, action)"
         ) from error
     return (
-        wide_tensor(observation, f"episode {index}: observation"),
-        wide_tensor(action, f"episode {index}: action"),
+        observation_vectors(observation, keys, f"episode {index}: observation"),
+        action_vectors(action, choices, f"episode {index}: action"),
     )
 
 

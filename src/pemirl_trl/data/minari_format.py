@@ -38,6 +38,8 @@ def write_minari(
     terminated: Sequence[bool],
     task: TensorDictBase | None,
     metadata: dict[str, Any],
+    *,
+    choices: int | None = None,
     **described: Any,
 ) -> None:
     """Create the local Minari dataset ``dataset_id`` of M episodes.
@@ -48,6 +50,7 @@ def write_minari(
         terminated: whether it ended by itself; otherwise it is written as truncated.
         task: batch_size ``[M]`` or None.
         metadata: JSON mapping, stored under one key of the dataset's metadata.
+        choices: n, of actions that are indices ``[M, T]``; None: they are vectors.
         described: passed on to ``minari.create_dataset_from_buffers`` (``author``,
             ``author_email``, ``code_permalink``, ``algorithm_name``, ``description``, ...).
     """
@@ -72,7 +75,11 @@ def write_minari(
             dataset_id,
             buffers,
             observation_space=spaces.Box(-np.inf, np.inf, observation.shape[1:], np.float32),
-            action_space=spaces.Box(-np.inf, np.inf, action.shape[1:], np.float32),
+            action_space=(
+                spaces.Box(-np.inf, np.inf, action.shape[1:], np.float32)
+                if choices is None
+                else spaces.Discrete(choices)
+            ),
             **described,
         )
     dataset.storage.update_metadata({_METADATA_KEY: json.dumps(metadata)})
@@ -81,31 +88,35 @@ def write_minari(
 def read_minari(
     dataset_id: str,
 ) -> tuple[
-    list[tuple[NDArray[Any], NDArray[Any]]],
+    list[tuple[Any, NDArray[Any]]],
     list[bool],
     TensorDictBase | None,
     dict[str, Any] | None,
+    int | None,
 ]:
     """Read the local Minari dataset ``dataset_id``, written by anyone.
 
     Returns:
-        ``(observation [L+1, S], action [L, A])`` per episode, as stored; whether each ended by
+        ``(observation [L+1, S], action [L, A])`` per episode, as stored (an observation may be a
+        dictionary of arrays; actions of n choices are ``[L]``, from 0); whether each ended by
         itself; the task parameters with batch_size ``[M]``, if every episode has some; the metadata
-        of :func:`write_minari`, if any.
+        of :func:`write_minari`, if any; and n.
 
     Raises:
         ImportError: the ``minari`` extra is not installed.
-        ValueError: observations or actions are not plain arrays.
+        ValueError: observations or actions are neither of these.
     """
     minari, spaces = _import_minari()
     dataset = minari.load_dataset(dataset_id)
-    for space in (dataset.observation_space, dataset.action_space):
-        if not isinstance(space, spaces.Box):
-            raise ValueError(
-                f"{dataset_id} has the space {space}; expected Boxes of observations and actions"
-            )
+    observed, acted = dataset.observation_space, dataset.action_space
+    if not isinstance(observed, spaces.Box | spaces.Dict):
+        raise ValueError(f"{dataset_id} observes {observed}; expected a Box, or a Dict of Boxes")
+    if not isinstance(acted, spaces.Box | spaces.Discrete):
+        raise ValueError(f"{dataset_id} has the actions {acted}; expected a Box or Discrete")
+    choices = int(acted.n) if isinstance(acted, spaces.Discrete) else None
+    first = 0 if choices is None else int(acted.start)
     stored = list(dataset.iterate_episodes())
-    episodes = [(np.asarray(one.observations), np.asarray(one.actions)) for one in stored]
+    episodes = [(one.observations, np.asarray(one.actions) - first) for one in stored]
     ended = [bool(np.any(one.terminations)) for one in stored]
     facts = dataset.storage.get_episode_metadata(dataset.episode_indices)
     tasks = [fact.get("options", {}).get("task") for fact in facts]
@@ -115,7 +126,7 @@ def read_minari(
         else None
     )
     raw = dataset.storage.metadata.get(_METADATA_KEY)
-    return episodes, ended, task, None if raw is None else json.loads(raw)
+    return episodes, ended, task, None if raw is None else json.loads(raw), choices
 
 
 def _last(steps: int, value: bool) -> NDArray[np.bool_]:

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+from collections.abc import Sequence
 
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.environments import MakeEnv, ends_early
 from pemirl_trl.methods.meta_training import MethodConfig
 from pemirl_trl.modules import ContextEncoder, PEMIRLModel
+from pemirl_trl.sharing import PortableReward
 
 LOG = logging.getLogger("pemirl_trl")
 
 
 def for_training(
-    make_env: MakeEnv, demonstrations: DemonstrationDataset, config: MethodConfig, seed: int
+    make_env: MakeEnv,
+    demonstrations: DemonstrationDataset,
+    config: MethodConfig,
+    seed: int,
+    observation_keys: Sequence[str] | None = None,
 ) -> tuple[DemonstrationDataset, MethodConfig]:
     """What a method is trained on: with absorbing states, if episodes end by themselves.
 
@@ -22,7 +28,7 @@ def for_training(
     configuration says so (``model.absorbing``).
     """
     absorbing = config.model.absorbing
-    if not absorbing and ends_early(make_env, demonstrations.horizon, seed):
+    if not absorbing and ends_early(make_env, demonstrations.horizon, seed, observation_keys):
         LOG.info("episodes end early: they go on in absorbing states (model.absorbing)")
         absorbing = True
     if not absorbing:
@@ -31,7 +37,9 @@ def for_training(
     return demonstrations.with_absorbing_states(), config
 
 
-def for_model(model: PEMIRLModel, demonstrations: DemonstrationDataset) -> DemonstrationDataset:
+def for_model(
+    model: PEMIRLModel | PortableReward, demonstrations: DemonstrationDataset
+) -> DemonstrationDataset:
     """New demonstrations as a model reads them: up to its horizon, with absorbing states or not.
 
     Raises:

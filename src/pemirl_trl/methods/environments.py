@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium
@@ -24,7 +24,12 @@ from torchrl.modules import RandomPolicy
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.requirements import check_environment, check_episodes
 from pemirl_trl.modules import PEMIRLModel
-from pemirl_trl.transforms import AbsorbingState, InferContext
+from pemirl_trl.transforms import (
+    AbsorbingState,
+    InferContext,
+    JoinObservations,
+    OneHotActions,
+)
 
 MakeEnv = Callable[[int, int], Any]
 """(num_envs, seed) -> a TorchRL environment of batch size ``[num_envs]``, a Gymnasium vector
@@ -45,6 +50,8 @@ class Episodes:
         model: whose policy is to act.
         demonstrations: give the horizon.
         seed: of the episode that is looked at.
+        observation_keys: which entries of what it observes make the observation, in this order;
+            None: its ``"observation"`` is it. See :class:`pemirl_trl.JoinObservations`.
 
     Raises:
         TypeError: ``make_env`` returns something else than an environment.
@@ -57,9 +64,12 @@ class Episodes:
         model: PEMIRLModel,
         demonstrations: DemonstrationDataset,
         seed: int = 0,
+        *,
+        observation_keys: Sequence[str] | None = None,
     ) -> None:
         self._make_env, self._horizon = make_env, model.horizon
         self._absorbing = model.config.absorbing
+        self._observation_keys = observation_keys
         with torch.random.fork_rng(devices=[]):
             env = self._whole(_PROBED, seed)
             infer = InferContext(model.encoder, demonstrations.trajectories())
@@ -75,28 +85,39 @@ class Episodes:
         return _transformed(self._whole(num_envs, seed), Compose(*limit, transform))
 
     def _whole(self, num_envs: int, seed: int) -> EnvBase:
-        env = _batched(self._make_env, num_envs, seed, self._horizon)
+        env = _batched(self._make_env, num_envs, seed, self._horizon, self._observation_keys)
         return _transformed(env, AbsorbingState()) if self._absorbing else env
 
 
-def ends_early(make_env: MakeEnv, horizon: int, seed: int) -> bool:
+def ends_early(
+    make_env: MakeEnv, horizon: int, seed: int, observation_keys: Sequence[str] | None = None
+) -> bool:
     """Whether an episode of random actions ends by itself (``terminated``) before ``horizon``."""
     with torch.random.fork_rng(devices=[]):
-        env = _batched(make_env, _PROBED, seed, horizon)
+        env = _batched(make_env, _PROBED, seed, horizon, observation_keys)
         rollouts = env.rollout(horizon, RandomPolicy(env.action_spec), break_when_any_done=False)
         env.close()
     terminated = rollouts.get(("next", "terminated"), None)
     return terminated is not None and bool(terminated[:, : horizon - 1].any())
 
 
-def _batched(make_env: MakeEnv, num_envs: int, seed: int, horizon: int) -> EnvBase:
+def _batched(
+    make_env: MakeEnv,
+    num_envs: int,
+    seed: int,
+    horizon: int,
+    observation_keys: Sequence[str] | None,
+) -> EnvBase:
     env = _torchrl(make_env, num_envs, seed, horizon)
     if tuple(env.batch_size) != (num_envs,):
         raise ValueError(
             f"make_env({num_envs}, {seed}) returned an environment of batch size "
             f"{list(env.batch_size)}; expected [{num_envs}]"
         )
-    return _single_precision(env)
+    if observation_keys is not None:
+        env = _transformed(env, JoinObservations(observation_keys, env))
+    one_hot = OneHotActions.of(env)
+    return _single_precision(env if one_hot is None else _transformed(env, one_hot))
 
 
 def _torchrl(make_env: MakeEnv, num_envs: int, seed: int, horizon: int) -> EnvBase:
@@ -126,8 +147,16 @@ def wrap_gymnasium(env: VectorEnv, observation_key: str = "observation") -> EnvB
         observation_key: of an observation that is a dictionary: which entry is the observation.
 
     Raises:
-        ValueError: another autoreset mode, or no such entry.
+        ValueError: another autoreset mode, no such entry, or discrete actions that are not counted
+            from 0.
     """
+    first = getattr(env.single_action_space, "start", 0)
+    if isinstance(env.single_action_space, gymnasium.spaces.Discrete) and first != 0:
+        raise ValueError(
+            f"the environment's actions are {env.single_action_space}, and TorchRL counts from 0: "
+            f"wrap it, gymnasium.wrappers.TransformAction(env, lambda action: action + {first}, "
+            f"gymnasium.spaces.Discrete({env.single_action_space.n}))"
+        )
     mode = env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
     if mode not in (AutoresetMode.DISABLED, AutoresetMode.SAME_STEP):
         raise ValueError(
