@@ -15,6 +15,8 @@ context                  [N, T, D]   m            InferContext, once per rollout
 context_loc              [N, D]      mean of q    ContextEncoder
 context_scale            [N, D]      deviation    ContextEncoder
 demonstration            [N, T]      index        InferContext: which demonstration m is from
+mask                     [N, T]                   demonstrations: False for padding, if there is any
+absorbing                [N, T]                   AbsorbingState: the episode ended before this step
 loc, scale               [N, T, A]                ContextPolicy: parameters of pi at collection
 logits                   [N, T, A]                CategoricalPolicy: the same
 action_log_prob          [N, T]      log pi       the policy, at collection
@@ -38,6 +40,7 @@ from pemirl_trl.files import Card
 from pemirl_trl.health import Finding, Health, Sign
 from pemirl_trl.modules import (
     AIRLDiscriminator,
+    AttentionContextEncoder,
     CategoricalPolicy,
     ContextEncoder,
     ContextPolicy,
@@ -64,6 +67,7 @@ from pemirl_trl.optim import TrustRegionOptimizer, TrustRegionResult
 from pemirl_trl.pretrained import load_card, load_model, save_model
 from pemirl_trl.sharing import PortableReward, load_reward, save_reward
 from pemirl_trl.transforms import (
+    AbsorbingState,
     InferContext,
     JoinObservations,
     LearnedReward,
@@ -86,7 +90,9 @@ __version__ = "0.1.0"
 
 __all__ = [
     "AIRLDiscriminator",
+    "AbsorbingState",
     "Adaptation",
+    "AttentionContextEncoder",
     "BatchReward",
     "Card",
     "CategoricalPolicy",

@@ -36,6 +36,7 @@ _CONFIG: dict[str, type | tuple[type, ...]] = {
     "reward_gamma": (int, float),
     "policy_scale": (int, float),
     "reward_features": (list, type(None)),
+    "absorbing": bool,
     "actions": str,
 }
 

@@ -161,6 +161,31 @@ def test_an_error_in_the_users_function_keeps_its_traceback(pemirl, mine, fault)
         pemirl("meta_train", *TRAIN, *FEW, "env=wrong:make", "run_dir=R2")
 
 
+def test_episodes_of_several_lengths_from_demonstrations_to_a_policy(pemirl, mine, capsys):
+    """The example whose episodes end early, by the same words."""
+    shutil.copy(PENDULUM.parents[1] / "own_puck" / "puck.py", mine / "my_puck.py")
+    task = importlib.import_module("my_puck")
+    try:
+        task.demonstrations(12, 1).save(mine / "train.safetensors")
+        task.demonstrations(2, 2).save(mine / "two.safetensors")
+        pemirl("check", "train.safetensors")
+        shown = capsys.readouterr().out
+        assert f"12 ended by themselves before T = {task.T}, 0 were cut" in shown
+        pemirl("meta_train", TRAIN[0], "env=my_puck:make", "run_dir=R", *FEW)
+        assert "model.absorbing                True" in capsys.readouterr().out
+        pemirl(
+            "infer", "model_file=R/model.safetensors", "demonstration=two.safetensors", "index=1"
+        )
+        length = int(task.demonstrations(2, 2).lengths[1])
+        steps = [line for line in capsys.readouterr().out.splitlines() if "  step " in line]
+        assert steps[-1].split()[1] == str(length - 1)  # r along what was demonstrated
+        words = ("test_demonstrations=two.safetensors", "env=my_puck:make_reversed")
+        pemirl("adapt_reward", *ADAPT, *words)
+        assert "learned return:" in capsys.readouterr().out
+    finally:
+        sys.modules.pop("my_puck", None)
+
+
 def test_discrete_actions_and_named_entries_by_command(here, command, monkeypatch, capsys):
     shutil.copy(PENDULUM.parents[1] / "own_grid" / "grid.py", here / "my_grid.py")
     monkeypatch.syspath_prepend(str(here))

@@ -10,6 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from pemirl_trl import modules
 from pemirl_trl.modules import (
     AIRLDiscriminator,
+    AttentionContextEncoder,
     CategoricalPolicy,
     ContextEncoder,
     ContextPolicy,
@@ -29,6 +30,7 @@ BUILD = {
         S, A, D, T, standardize=s, scale_depends_on_input=True
     ),
     "masked_encoder": lambda s: MaskedContextEncoder(S, A, D, standardize=s),
+    "attention_encoder": lambda s: AttentionContextEncoder(S, A, D, standardize=s),
     "reward": lambda s: ShapedReward(S, D, standardize=s),
     "discriminator": lambda s: AIRLDiscriminator(ShapedReward(S, D, standardize=s)),
     "gail_discriminator": lambda s: GAILDiscriminator(S, A, standardize=s),
@@ -44,6 +46,7 @@ OUTPUTS = {
     "reward": ("learned_reward", "shaped_reward"),
     "discriminator": ("logit_expert",),
     "gail_discriminator": ("logit_expert",),
+    "attention_encoder": ("context_loc", "context_scale"),
     "policy": ("loc", "scale"),
     "categorical_policy": ("logits",),
     "value": ("state_value",),

@@ -53,7 +53,8 @@ def main(arguments: Sequence[str]) -> None:
     except (FileNotFoundError, ValueError) as error:
         sys.exit(f"pemirl infer: {error}")
     say(str(inference))
-    say(_along(inference.reward(one.observation[0, :-1]).squeeze(-1)))
+    steps = one.observation[0, : int(one.lengths[0])]
+    say(_along(inference.reward(steps).squeeze(-1)))
 
 
 def _chosen(demonstrations: DemonstrationDataset, words: Words) -> DemonstrationDataset:

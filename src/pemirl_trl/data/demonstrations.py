@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 
-from pemirl_trl.data.conversion import narrowed, plain_tensor, task_batch, wide_tensor
+from pemirl_trl.data.conversion import narrowed, wide_tensor
 from pemirl_trl.data.demonstration_file import read_demonstrations, write_demonstrations
-from pemirl_trl.data.entries import action_vectors, is_one_hot, observation_vectors
+from pemirl_trl.data.entries import action_vectors, is_one_hot
+from pemirl_trl.data.episodes import check_constant, first_episodes, flags_of, pair_of, task_of
+from pemirl_trl.data.lengths import lengthened, steps_after, with_indicator
 from pemirl_trl.data.minari_format import read_minari, write_minari
 from pemirl_trl.data.provenance import Provenance, parse_provenance
 from pemirl_trl.data.validation import check_demonstrations, stack_episodes
@@ -27,7 +29,7 @@ Index = int | slice | Sequence[int] | Tensor
 
 @dataclass(frozen=True, eq=False)
 class DemonstrationDataset:
-    """M demonstrations with one fixed horizon T, in no particular order and without labels.
+    """M demonstrations of at most T steps, in no particular order and without labels.
 
     ============== ============== ==============================================================
     field          shape, dtype   what it is
@@ -56,6 +58,9 @@ class DemonstrationDataset:
     action: Tensor
     provenance: Provenance = field(default_factory=Provenance)
     task: TensorDictBase | None = None
+    length: Tensor | None = None
+    terminated: Tensor | None = None
+    absorbing: bool = False
 
     def __post_init__(self) -> None:
         for name in ("observation", "action", "task"):
@@ -71,7 +76,7 @@ class DemonstrationDataset:
             ValueError: NaN or infinity, an off-by-one, wrong dimensions or dtypes; where a single
                 episode is at fault, the message names it.
         """
-        check_demonstrations(self.observation, self.action, self.task)
+        check_demonstrations(self.observation, self.action, self.task, self.length, self.terminated)
 
     def __len__(self) -> int:
         """Return M, the number of demonstrations."""
@@ -79,8 +84,26 @@ class DemonstrationDataset:
 
     @property
     def horizon(self) -> int:
-        """T, the number of actions of every demonstration."""
+        """T, the number of actions of the longest demonstration, or to which they are padded."""
         return self.action.shape[1]
+
+    @property
+    def lengths(self) -> Tensor:
+        """``[M]``: how many actions each demonstration has."""
+        if self.length is None:
+            return torch.full((len(self),), self.horizon, device=self.action.device)
+        return self.length
+
+    @property
+    def ended(self) -> Tensor:
+        """``[M]``: which demonstrations ended by themselves before T."""
+        early = self.lengths < self.horizon
+        return early if self.terminated is None else early & self.terminated
+
+    @property
+    def cut(self) -> Tensor:
+        """``[M]``: which demonstrations were cut before T: nobody knows how they went on."""
+        return (self.lengths < self.horizon) & ~self.ended
 
     @property
     def observation_dim(self) -> int:
@@ -100,9 +123,57 @@ class DemonstrationDataset:
     def __getitem__(self, index: Index) -> DemonstrationDataset:
         """Return the chosen demonstrations (an int chooses one) as a dataset."""
         rows = self._rows(index)
-        task = None if self.task is None else self.task[rows]
-        return DemonstrationDataset(
-            self.observation[rows], self.action[rows], self.provenance, task
+        return replace(
+            self,
+            observation=self.observation[rows],
+            action=self.action[rows],
+            task=None if self.task is None else self.task[rows],
+            length=None if self.length is None else self.length[rows],
+            terminated=None if self.terminated is None else self.terminated[rows],
+        )
+
+    def padded(self, horizon: int) -> DemonstrationDataset:
+        """Return these demonstrations with padding up to ``horizon`` steps.
+
+        Raises:
+            ValueError: one of them is longer.
+        """
+        if horizon < self.horizon:
+            raise ValueError(
+                f"got demonstrations of {self.horizon} steps; expected at most {horizon}"
+            )
+        if horizon == self.horizon:
+            return self
+        return replace(
+            self,
+            observation=lengthened(self.observation, horizon + 1, repeat=True),
+            action=lengthened(self.action, horizon, repeat=False),
+            length=self.lengths,
+        )
+
+    def with_absorbing_states(self, horizon: int | None = None) -> DemonstrationDataset:
+        """Return them with an indicator in the observation, going on to T after their end.
+
+        What ended by itself stays where it ended: every later step begins at the last observation
+        with an indicator of 1 (:class:`pemirl_trl.AbsorbingState` does the same to an environment).
+        What was cut is masked after its end, in :meth:`trajectories`, as it is here.
+
+        Args:
+            horizon: T; None: that of the longest.
+
+        Raises:
+            ValueError: one of them is longer.
+        """
+        if self.absorbing:
+            return self.padded(horizon or self.horizon)
+        data = self.padded(horizon or self.horizon)
+        observation = with_indicator(data.observation, data.lengths, data.ended)
+        return replace(
+            data,
+            observation=observation,
+            length=data.lengths,
+            terminated=data.ended,
+            absorbing=True,
         )
 
     def trajectories(self, index: Index | None = None) -> TensorDict:
@@ -114,6 +185,9 @@ class DemonstrationDataset:
         Returns:
             TensorDict with batch_size ``[n]`` (not ``[n, T]``: an encoder reduces time) and leaves
             ``observation [n, T, S]``, ``action [n, T, A]``, ``("next", "observation") [n, T, S]``.
+            Where some were cut (or ended, and there are no absorbing states): ``mask [n, T]``,
+            False for padding. With absorbing states: ``absorbing [n, T]``, True for the steps that
+            begin in one.
         """
         rows = slice(None) if index is None else self._rows(index)
         observation, action = self.observation[rows], self.action[rows]
@@ -122,9 +196,22 @@ class DemonstrationDataset:
                 "observation": observation[:, :-1],
                 "action": action,
                 "next": {"observation": observation[:, 1:]},
+                **{name: flags[rows] for name, flags in self._flags().items()},
             },
             batch_size=[action.shape[0]],
         )
+
+    def _flags(self) -> dict[str, Tensor]:
+        """What tells steps apart, ``[M, T]`` each; nothing where all are a demonstrator's."""
+        if self.length is None:
+            return {}
+        after = steps_after(self.length, self.horizon)
+        if not self.absorbing:
+            return {"mask": ~after} if after.any() else {}
+        flags = {"absorbing": after & self.ended.unsqueeze(-1)}
+        if self.cut.any():
+            flags["mask"] = ~(after & self.cut.unsqueeze(-1))
+        return flags
 
     def tasks(self, index: Index | None = None) -> TensorDictBase:
         """Return ground-truth task parameters with batch_size ``[n]``, for metrics only.
@@ -148,23 +235,28 @@ class DemonstrationDataset:
         provenance: Provenance | None = None,
         task: Mapping[str, ArrayLike] | TensorDictBase | None = None,
         *,
+        terminated: bool | Sequence[bool] | None = None,
+        horizon: int | None = None,
         discrete_actions: int | None = None,
         observation_keys: Sequence[str] | None = None,
     ) -> DemonstrationDataset:
-        """Build a dataset of ``(observation [T+1, S], action [T, A])`` pairs of arrays or tensors.
+        """Build a dataset of ``(observation [L+1, S], action [L, A])`` pairs of arrays or tensors.
 
         Args:
-            episodes: one pair per demonstration, all of one horizon.
+            episodes: one pair per demonstration, of one length or of several.
             provenance: where they come from.
             task: ground truth, a mapping of name to ``[M, ...]``.
-            discrete_actions: n, where actions are integers ``[T]`` from 0 to n - 1.
+            terminated: whether episodes ended by themselves (a goal reached, a fall), or were cut;
+                for all, or for each. None: what is shorter than T ended.
+            horizon: T, how long an episode can be; None: as long as the longest of these.
+            discrete_actions: n, where actions are integers ``[L]`` from 0 to n - 1.
             observation_keys: which entries of observations that are mappings of arrays
-                ``[T+1, ...]`` make the vector, in this order; ``"arm.angle"`` is nested.
+                ``[L+1, ...]`` make the vector, in this order; ``"arm.angle"`` is nested.
 
         Raises:
-            ValueError: mixed horizons or dimensions, an off-by-one, NaN, something else than real
-                numbers, actions or entries that are not there, or a feature that float32 cannot
-                tell apart; the episodes are named.
+            ValueError: mixed dimensions, an off-by-one, NaN, something else than real numbers,
+                actions or entries that are not there, or a feature that float32 cannot tell apart;
+                the episodes are named.
 
         Example:
             >>> walk = {"place": [[0], [1], [2]], "speed": [[0], [1], [1]]}, [2, 0]
@@ -175,16 +267,20 @@ class DemonstrationDataset:
             (tensor([1., 2.]), tensor([0., 0., 1.]), True)
         """
         pairs = [
-            _pair(i, episode, discrete_actions, observation_keys)
+            pair_of(i, episode, discrete_actions, observation_keys)
             for i, episode in enumerate(episodes)
         ]
-        observation, action = stack_episodes(pairs)
-        return cls(
+        observation, action, length = stack_episodes(pairs)
+        several = bool((length < action.shape[1]).any())
+        dataset = cls(
             narrowed("observation", observation),
             narrowed("action", action),
             provenance or Provenance(),
-            _task(task, len(pairs)),
+            task_of(task, len(pairs)),
+            length if several else None,
+            flags_of(terminated, len(pairs)),
         )
+        return dataset if horizon is None else dataset.padded(horizon)
 
     @classmethod
     def from_rollouts(
@@ -200,7 +296,9 @@ class DemonstrationDataset:
         Args:
             rollouts: batch_size ``[M, T]`` with ``observation``, ``action``,
                 ``("next", "observation")`` and, under ``task_key``, task parameters that are
-                constant in time (their absence makes a dataset without ground truth).
+                constant in time (their absence makes a dataset without ground truth). Where
+                ``("next", "done")`` says that a row ended before T, its first episode is taken, and
+                ``("next", "terminated")`` says how it ended.
             provenance: where they come from.
             task_key: where the ground truth is; None ignores it.
             discrete_actions: n, where actions are indices ``[M, T]`` and not one-hot.
@@ -212,14 +310,22 @@ class DemonstrationDataset:
         if rollouts.ndim != 2:
             raise ValueError(f"rollouts have batch_size {list(rollouts.shape)}; expected [M, T]")
         observation, following = rollouts["observation"], rollouts["next", "observation"]
-        _check_constant("were reset on the way", observation[:, 1:], following[:, :-1])
+        length, terminated = first_episodes(rollouts)
+        inside = ~steps_after(length, rollouts.shape[1])[:, 1:]  # [M, T-1]
+        check_constant("were reset on the way", observation[:, 1:], following[:, :-1], inside)
         task = None if task_key is None else rollouts.get(task_key, None)
         if task is not None:
             for value in task.values(include_nested=True, leaves_only=True):
-                _check_constant("changed their task on the way", value[:, 1:], value[:, :-1])
+                what = "changed their task on the way"
+                check_constant(what, value[:, 1:], value[:, :-1], inside)
             task = task[:, 0].clone()
         observation = torch.cat([observation, following[:, -1:]], dim=1)  # [M, T+1, S]
         action = action_vectors(rollouts["action"], discrete_actions, "action", leading=2)
+        if bool((length < rollouts.shape[1]).any()):
+            rows = [*zip(observation, following, action, length.tolist(), strict=True)]
+            pairs = [(torch.cat([o[:n], f[n - 1 : n]]), a[:n]) for o, f, a, n in rows]
+            ends, horizon = terminated.tolist(), rollouts.shape[1]
+            return cls.from_episodes(pairs, provenance, task, terminated=ends, horizon=horizon)
         observation = narrowed("observation", wide_tensor(observation, "observation"))
         return cls(observation, narrowed("action", action), provenance, task)
 
@@ -230,8 +336,25 @@ class DemonstrationDataset:
 
         Raises:
             OSError: it cannot be written; the message names the file and says what to do.
+            ValueError: these have absorbing states: a file holds what was demonstrated.
         """
-        write_demonstrations(path, self.observation, self.action, self.task, self.provenance)
+        self._check_demonstrated()
+        write_demonstrations(
+            path,
+            self.observation,
+            self.action,
+            self.task,
+            self.provenance,
+            self.length,
+            self.terminated,
+        )
+
+    def _check_demonstrated(self) -> None:
+        if self.absorbing:
+            raise ValueError(
+                "these demonstrations go on in absorbing states after their end; save those that "
+                "with_absorbing_states was called on"
+            )
 
     @classmethod
     def load(cls, path: str | Path) -> DemonstrationDataset:
@@ -243,9 +366,9 @@ class DemonstrationDataset:
                 are no part of the schema, or contents that :meth:`validate` rejects. The message
                 names the file, and the episodes where some are at fault.
         """
-        observation, action, task, provenance = read_demonstrations(path)
+        observation, action, task, provenance, length, ended = read_demonstrations(path)
         try:
-            return cls(observation, action, provenance, task)
+            return cls(observation, action, provenance, task, length, ended)
         except ValueError as error:
             raise ValueError(f"{expanded(path)}: {error}") from error
 
@@ -256,12 +379,16 @@ class DemonstrationDataset:
             dataset_id: ``(namespace/)(environment/)name-v<version>``.
             described: ``author``, ``author_email``, ``code_permalink``, ... for Minari's metadata.
         """
+        self._check_demonstrated()
         metadata = {"provenance": asdict(self.provenance)}
         action = self.action.argmax(-1) if self.discrete else self.action
         choices = self.action_dim if self.discrete else None
-        write_minari(
-            dataset_id, self.observation, action, self.task, metadata, choices=choices, **described
-        )
+        episodes = [
+            (o[: n + 1], a[:n])
+            for o, a, n in zip(self.observation, action, self.lengths.tolist(), strict=True)
+        ]
+        ended = (self.ended if self.terminated is None else self.terminated).tolist()
+        write_minari(dataset_id, episodes, ended, self.task, metadata, choices=choices, **described)
 
     @classmethod
     def from_minari(
@@ -275,10 +402,10 @@ class DemonstrationDataset:
 
         Raises:
             ImportError: the ``minari`` extra is not installed.
-            ValueError: its episodes do not share one horizon, hold something else than vectors (or
-                choices, as actions), or a feature that float32 cannot tell apart.
+            ValueError: its episodes hold something else than vectors (or choices, as actions), or a
+                feature that float32 cannot tell apart.
         """
-        episodes, task, metadata, choices = read_minari(dataset_id)
+        episodes, ended, task, metadata, choices = read_minari(dataset_id)
         if metadata is None:
             provenance = Provenance(environment=dataset_id)
         else:
@@ -286,42 +413,14 @@ class DemonstrationDataset:
             stored = check_fields(metadata, {"provenance": dict}, what)["provenance"]
             provenance = parse_provenance(stored, what)
         try:
+            differ = any(ended) or len({len(action) for _, action in episodes}) > 1
             return cls.from_episodes(
                 episodes,
                 provenance,
                 task,
+                terminated=ended if differ else None,
                 discrete_actions=choices,
                 observation_keys=observation_keys,
             )
         except ValueError as error:
             raise ValueError(f"{dataset_id}: {error}") from error
-
-
-def _check_constant(what: str, later: Tensor, earlier: Tensor) -> None:
-    bad = (later != earlier).flatten(1).any(1).nonzero().flatten().tolist()
-    if bad:
-        raise ValueError(f"episodes {bad[:5]} {what}; expected one whole episode per row")
-
-
-def _pair(
-    index: int, episode: Any, choices: int | None, keys: Sequence[str] | None
-) -> tuple[Tensor, Tensor]:
-    try:
-        observation, action = episode
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"episode {index} is a {type(episode).__name__}; expected a pair (observation, action)"
-        ) from error
-    return (
-        observation_vectors(observation, keys, f"episode {index}: observation"),
-        action_vectors(action, choices, f"episode {index}: action"),
-    )
-
-
-def _task(
-    task: Mapping[str, ArrayLike] | TensorDictBase | None, episodes: int
-) -> TensorDictBase | None:
-    if task is None or isinstance(task, TensorDictBase):
-        return task
-    values = {name: plain_tensor(value, f"task entry {name!r}") for name, value in task.items()}
-    return task_batch(values, episodes)

@@ -25,6 +25,7 @@ from pemirl_trl.methods.discriminator_batches import BatchConfig, DiscriminatorB
 from pemirl_trl.methods.schedule import AnnealedScale, log_linear
 from pemirl_trl.methods.trpo import TRPO, TRPOConfig
 from pemirl_trl.modules import PEMIRLModel, ShapedReward
+from pemirl_trl.modules.reading import acted_steps
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -170,6 +171,9 @@ class AdaptiveSampler:
             first.shape,
         ).reshape(-1)
         action = demonstrations["action"].flatten(0, 1)
+        acted = acted_steps(demonstrations)
+        if acted is not None:
+            batch, action = batch[acted.flatten()], action[acted.flatten()]
 
         def loss() -> Tensor:
             log_prob = self.policy.get_dist(batch.copy()).log_prob(action)

@@ -12,8 +12,9 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 
 from pemirl_trl.modules.model import Policy
+from pemirl_trl.modules.reading import acted_steps
 
-_KEPT = ("observation", "action")
+_KEPT = ("observation", "action", "absorbing")  # the last where episodes end early
 _STRIDE = 4  # steps between those that are scored: a ranking needs no more, and it is all the cost
 
 
@@ -86,6 +87,8 @@ class BestTrajectories:
         best, row = cross_returns(self.reward, rollouts[:, ::_STRIDE], tasks).max(1)
         candidate = tasks.set("return", best)
         for key in _KEPT:
+            if key not in rollouts:
+                continue
             candidate.set(key, rollouts[key][row])
         if self.action_bounds is not None:
             candidate["action"] = candidate["action"].clamp(*self.action_bounds)
@@ -114,6 +117,9 @@ class BestTrajectories:
         for key in self.task_keys:
             batch.set(key, self._best[key].unsqueeze(1).expand(*steps, -1))
         batch, action = batch.reshape(-1), self._best["action"].flatten(0, 1)
+        acted = acted_steps(self._best)
+        if acted is not None:
+            batch, action = batch[acted.flatten()], action[acted.flatten()]
 
         def loss() -> Tensor:
             error = policy.get_dist(batch.copy()).mean - action

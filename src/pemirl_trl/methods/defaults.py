@@ -12,6 +12,7 @@ from typing import Any
 
 from pemirl_trl.configuration import typed
 from pemirl_trl.data import DemonstrationDataset
+from pemirl_trl.data.lengths import steps_after
 from pemirl_trl.methods.adaptation import AdaptationConfig
 from pemirl_trl.methods.meta_training import METHODS, TRAINING, MethodConfig
 from pemirl_trl.modules import PEMIRLModel
@@ -108,8 +109,15 @@ def found_for_meta_training(
     if preset == "robust":
         # As Meta-IL made them, contexts stay what r was learned for.
         training |= {"info_coeff": 0.0, "encoder_lr": 0.0}
+    model: dict[str, Any] = {"policy_scale": scale}
+    if kind != "continuous":
+        model["actions"] = kind
+    if demonstrations.ended.any():
+        model["absorbing"] = True
+    if demonstrations.cut.any():
+        model["encoder"] = "attention"  # the flat one reads all of T
     return {
-        "model": {"policy_scale": scale, **({} if kind == "continuous" else {"actions": kind})},
+        "model": model,
         **({} if kind == "continuous" else {"learn_policy_scale": False}),
         "meta_il": {
             # The evidence bound's own is 1 / T. On short episodes that is so much that m says
@@ -156,7 +164,10 @@ def action_size(demonstrations: DemonstrationDataset) -> float:
     Raises:
         ValueError: all actions are 0.
     """
-    size = float(demonstrations.action.abs().flatten()[:1_000_000].quantile(0.95))
+    action = demonstrations.action
+    if demonstrations.length is not None:
+        action = action[~steps_after(demonstrations.length, demonstrations.horizon)]
+    size = float(action.abs().flatten()[:1_000_000].quantile(0.95))
     if size == 0.0:
         raise ValueError("the demonstrated actions are all 0; expected somebody to have acted")
     return float(f"{size:.2g}")
@@ -184,7 +195,7 @@ def table(found: Values, config: Any) -> str:
 
 
 def _shown(value: Any) -> str:
-    return value if isinstance(value, str) else f"{value:g}"
+    return str(value) if isinstance(value, str | bool) else f"{value:g}"
 
 
 def _paths(node: Values, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:

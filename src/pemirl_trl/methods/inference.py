@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.distributions import Distribution
 
 from pemirl_trl.data import DemonstrationDataset
+from pemirl_trl.methods.early_ends import for_model
 from pemirl_trl.methods.own_training import as_dataset
 from pemirl_trl.modules import FamilyDistance, PEMIRLModel, ShapedReward
 from pemirl_trl.sharing import PortableReward
@@ -35,10 +36,15 @@ class Inference:
     def reward(self, observation: Tensor) -> Tensor:
         """Return r(s, m) ``[..., 1]`` of states ``[..., S]``, without a unit.
 
+        Where episodes end by themselves, states are as in the environment, or with the indicator of
+        absorbing states as one component more, 1 for having ended there.
+
         Raises:
             ValueError: the states are not those of the model.
         """
         size = self._model.observation_dim
+        if self._model.config.absorbing and observation.shape[-1:] == (size - 1,):
+            observation = torch.nn.functional.pad(observation, (0, 1))
         if observation.shape[-1:] != (size,):
             raise ValueError(f"got states {list(observation.shape)}; expected [..., {size}]")
         return self._model.reward.reward(observation, self.context)
@@ -70,7 +76,7 @@ def infer(
             f"got {len(data)} demonstrations; expected one, such as demonstrations[0]: each has a "
             "context of its own"
         )
-    check_demonstrations(model, data)
+    data = check_demonstrations(model, data)
     with torch.no_grad():
         posterior = model.encoder.get_dist(data.trajectories())
         one = type(posterior)(type(posterior.base_dist)(posterior.mean[0], posterior.stddev[0]), 1)
@@ -83,14 +89,14 @@ def infer(
 
 def check_demonstrations(
     model: PEMIRLModel | PortableReward, demonstrations: DemonstrationDataset
-) -> None:
-    """Raise ValueError unless a model can read rewards from demonstrations."""
+) -> DemonstrationDataset:
+    """Return demonstrations as a model reads them; raise ValueError unless it can."""
     if model.config.context_dim == 0 or not isinstance(model.reward, ShapedReward):
         raise ValueError(
             "this model infers no reward r(s, m): expected one with contexts and reward='shaped', "
             f"got context_dim={model.config.context_dim}, reward={model.config.reward!r}"
         )
-    d = demonstrations
+    d = for_model(model, demonstrations)
     got, wanted = (
         (d.observation_dim, d.action_dim, d.horizon),
         (model.observation_dim, model.action_dim, model.horizon),
@@ -99,6 +105,7 @@ def check_demonstrations(
         raise ValueError(
             f"the demonstrations have (S, A, T) = {got}: observed numbers, actions and steps; this "
             f"model was trained on {wanted}"
+            + (", absorbing states and their indicator included" if d.absorbing else "")
         )
     if model.config.actions == "discrete" and not d.discrete:
         raise ValueError(
@@ -106,3 +113,4 @@ def check_demonstrations(
             f"{model.action_dim} choices, one-hot: from_episodes(..., discrete_actions="
             f"{model.action_dim}) makes such of integers"
         )
+    return d

@@ -140,7 +140,8 @@ def new_model(
         sizes: fields of :class:`ModelConfig` to replace.
 
     Raises:
-        ValueError: r is to read the task space, and nobody said what that is.
+        ValueError: r is to read the task space, and nobody said what that is; or the model is to
+            know absorbing states, and the demonstrations have none.
     """
     if config.reward_reads == "task_space" and config.model.reward == "shaped":
         if task_space is None:
@@ -149,13 +150,24 @@ def new_model(
                 "observation the task is about (task_space), or choose reward_reads='observation'"
             )
         sizes = {"reward_features": list(task_space), **sizes}
+    if config.model.absorbing and not demonstrations.absorbing:
+        raise ValueError(
+            "a model of absorbing states (model.absorbing) needs demonstrations with such, "
+            "demonstrations.with_absorbing_states(); meta_train on an environment of one's own "
+            "does that"
+        )
     return PEMIRLModel(
         demonstrations.observation_dim,
         demonstrations.action_dim,
         demonstrations.horizon,
-        dataclasses.replace(config.model, **sizes),
-        Standardize.fit(demonstrations.trajectories()["observation"]),
+        dataclasses.replace(config.model, absorbing=demonstrations.absorbing, **sizes),
+        _map_of_observations(demonstrations.trajectories()),
     )
+
+
+def _map_of_observations(trajectories: TensorDictBase) -> Standardize:
+    observation, mask = trajectories["observation"], trajectories.get("mask", None)
+    return Standardize.fit(observation if mask is None else observation[mask])
 
 
 def start_from(model: PEMIRLModel, meta_il: PEMIRLModel | None, config: MethodConfig) -> None:

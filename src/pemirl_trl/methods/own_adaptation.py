@@ -158,7 +158,7 @@ def adapt_in_stages(
     Raises:
         ValueError, TrainingDiverged: as there.
     """
-    check_demonstrations(model, demonstrations)
+    demonstrations = check_demonstrations(model, demonstrations)
     episodes = Episodes(make_env, model, demonstrations, seed, observation_keys=observation_keys)
     train = _Training(model, demonstrations, episodes, run_stage, seed)
     carried = model.trained_policy(config.policy_scale)

@@ -12,6 +12,7 @@ import torch
 
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.defaults import found_for_meta_training, meta_training_config, table
+from pemirl_trl.methods.early_ends import for_training
 from pemirl_trl.methods.environments import Episodes, MakeEnv
 from pemirl_trl.methods.meta_il import MetaIL
 from pemirl_trl.methods.meta_training import MethodConfig, build, new_model, start_from
@@ -42,8 +43,9 @@ def meta_train(
 
     Args:
         make_env: ``make_env(num_envs, seed)`` makes the environment of the demonstrations, with
-            episodes as long as they are; see :data:`MakeEnv`. Its actions are vectors, or choices
-            where every demonstrated action is one-hot.
+            episodes as long as the longest of them, or that end by themselves (``terminated``)
+            before; see :class:`pemirl_trl.AbsorbingState` and :data:`MakeEnv`. Its actions are
+            vectors, or choices where every demonstrated action is one-hot.
         demonstrations: of many tasks, one or more of each; or the file of them.
         preset: ``"robust"``, whose rewards transfer where observations are what the task is about;
             ``"contrastive"``, where a body or an object stands in between (needs ``task_space``);
@@ -96,6 +98,7 @@ def meta_train_in_stages(
     Raises:
         ValueError, TrainingDiverged: as there.
     """
+    demonstrations, config = for_training(make_env, demonstrations, config, seed, observation_keys)
     torch.manual_seed(seed)
     meta_il = new_model(demonstrations, config, task_space=task_space)
     episodes = Episodes(make_env, meta_il, demonstrations, seed, observation_keys=observation_keys)
@@ -141,6 +144,9 @@ def as_dataset(demonstrations: DemonstrationDataset | str | Path) -> Demonstrati
 def digest(demonstrations: DemonstrationDataset) -> str:
     """What tells demonstrations from others: a hash of their observations and actions."""
     content = hashlib.sha256()
-    for values in (demonstrations.observation, demonstrations.action):
+    d = demonstrations
+    for values in (d.observation, d.action, d.length, d.terminated):
+        if values is None:
+            continue
         content.update(values.detach().cpu().contiguous().numpy().tobytes())
     return content.hexdigest()

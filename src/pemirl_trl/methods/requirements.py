@@ -32,12 +32,13 @@ def check_environment(env: EnvBase, policy: Policy, horizon: int) -> None:
         raise ValueError("this environment cannot be trained on: " + "; ".join(problems))
 
 
-def check_episodes(rollouts: TensorDictBase, horizon: int) -> bool:
+def check_episodes(rollouts: TensorDictBase, horizon: int, *, absorbing: bool = False) -> bool:
     """Look at one episode per environment, of any actions.
 
     Args:
         rollouts: ``[N, T]``.
         horizon: T.
+        absorbing: whether those that end by themselves go on to T.
 
     Returns:
         Whether the environment ends its episodes at T itself; otherwise it goes on.
@@ -47,13 +48,20 @@ def check_episodes(rollouts: TensorDictBase, horizon: int) -> bool:
     """
     done = rollouts["next", "done"].squeeze(-1)
     last = done[:, -1]
-    if done[:, :-1].any() or last.any() != last.all():
+    some = bool(last.any() != last.all()) and not absorbing
+    if done[:, :-1].any() or some:
         ends = sorted((done.nonzero()[:, 1] + 1).unique().tolist())
         raise ValueError(
             f"this environment cannot be trained on: with random actions its episodes end at steps "
-            f"{ends}, and the demonstrations have {horizon}. Episodes of one fixed length are "
-            "needed, which end by time alone: switch early termination off (in Gymnasium often "
-            "terminate_when_unhealthy=False), and set the time limit to the demonstrations' length"
+            f"{ends}, and the demonstrations have {horizon}. "
+            + (
+                "A time limit is that of the longest demonstration"
+                if absorbing
+                else "This model knows of no ends but those by time: meta-train one that does "
+                "(model.absorbing=true), or switch early termination off (in Gymnasium often "
+                "terminate_when_unhealthy=False), and set the time limit to the demonstrations' "
+                "length"
+            )
         )
     observation = rollouts["next", "observation"]
     if not torch.isfinite(observation).all():

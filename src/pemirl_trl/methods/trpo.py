@@ -12,6 +12,7 @@ from torch import Tensor
 
 from pemirl_trl.configuration import CHECKED, Count, NonNegative, Positive, Share
 from pemirl_trl.modules.model import Policy
+from pemirl_trl.modules.reading import acted_steps
 from pemirl_trl.objectives import FiniteHorizonAdvantage, TRPOLoss
 from pemirl_trl.optim import TrustRegionOptimizer
 
@@ -88,6 +89,9 @@ class TRPO:
             Metrics of the step.
         """
         batch = self.advantage(rollouts).select(*self.loss.in_keys).reshape(-1)
+        acted = acted_steps(rollouts)
+        if acted is not None:  # neither surrogate nor trust region see actions that did nothing
+            batch = batch[acted.reshape(-1)]
         rows = torch.randint(batch.shape[0], (min(self.config.fisher_rows, batch.shape[0]),))
         fisher_batch = batch[rows]
 

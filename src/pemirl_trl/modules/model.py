@@ -10,6 +10,7 @@ from torch import nn
 
 from pemirl_trl.configuration import CHECKED, Count, Index, Positive, Share
 from pemirl_trl.modules.actors import ContextPolicy
+from pemirl_trl.modules.attention_encoder import AttentionContextEncoder
 from pemirl_trl.modules.categorical import CategoricalPolicy, check_share
 from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder, NoContext
 from pemirl_trl.modules.discriminator import GAILDiscriminator
@@ -17,7 +18,7 @@ from pemirl_trl.modules.family import TrainingFamily
 from pemirl_trl.modules.reward import ShapedReward
 from pemirl_trl.modules.standardize import Standardize
 
-EncoderKind = Literal["flat", "masked"]
+EncoderKind = Literal["flat", "masked", "attention"]
 RewardKind = Literal["shaped", "gail"]
 ActionKind = Literal["continuous", "discrete"]
 Policy = ContextPolicy | CategoricalPolicy
@@ -30,8 +31,8 @@ class ModelConfig:
 
     Attributes:
         context_dim: D, dimension of the latent context; 0 for methods that know none.
-        encoder: ``"flat"``, an MLP on the whole trajectory (the paper's), or ``"masked"``, the
-            average of embedded steps, for trajectories of any length.
+        encoder: ``"flat"``, an MLP on the whole trajectory (the paper's), or, for trajectories of
+            any length, ``"attention"``, or ``"masked"``, the average of embedded steps.
         reward: ``"shaped"``, AIRL's r and h, or ``"gail"``, the logit of GAIL's D(s, a).
         encoder_hidden, policy_hidden, reward_hidden: widths of the hidden layers.
         reward_gamma: discount of the potential in f.
@@ -39,6 +40,8 @@ class ModelConfig:
             drawn uniformly, below 1.
         reward_features: which components of an observation r reads; None: all (the paper). See
             :class:`ShapedReward`; GAIL's D has no such choice.
+        absorbing: whether the last component of an observation says that the episode has ended;
+            see :class:`pemirl_trl.AbsorbingState`.
         actions: ``"continuous"``, of a Gaussian policy (the paper's), or ``"discrete"``, one-hot
             vectors of a categorical one.
     """
@@ -52,6 +55,7 @@ class ModelConfig:
     reward_gamma: Share = 0.99
     policy_scale: Positive = 1.0
     reward_features: Sequence[Index] | None = None
+    absorbing: bool = False
     actions: ActionKind = "continuous"
 
     def __post_init__(self) -> None:
@@ -108,15 +112,16 @@ class PEMIRLModel(nn.Module):
         self.reward = self._new_reward()
         self.policy = self.new_policy()
 
-    def _new_encoder(self) -> ContextEncoder | MaskedContextEncoder | NoContext:
+    def _new_encoder(
+        self,
+    ) -> ContextEncoder | MaskedContextEncoder | AttentionContextEncoder | NoContext:
         c = self.config
         if c.context_dim == 0:
             return NoContext()
         sizes = (self.observation_dim, self.action_dim, c.context_dim)
-        if c.encoder == "masked":
-            return MaskedContextEncoder(
-                *sizes, hidden=c.encoder_hidden, standardize=self.standardize
-            )
+        if c.encoder != "flat":
+            kind = MaskedContextEncoder if c.encoder == "masked" else AttentionContextEncoder
+            return kind(*sizes, hidden=c.encoder_hidden, standardize=self.standardize)
         return ContextEncoder(
             *sizes, self.horizon, hidden=c.encoder_hidden, standardize=self.standardize
         )

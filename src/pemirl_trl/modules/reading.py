@@ -90,6 +90,18 @@ def trajectories_of(data: Any) -> Any:
     return data.trajectories()
 
 
+def acted_steps(batch: TensorDictBase) -> Tensor | None:
+    """The steps ``[N, T]`` of trajectories whose action was somebody's choice; None: all of them.
+
+    Not so padding (where ``mask`` is False), and what follows the end of an episode (where
+    ``absorbing`` is True).
+    """
+    mask, absorbing = batch.get("mask", None), batch.get("absorbing", None)
+    if absorbing is None:
+        return mask
+    return ~absorbing if mask is None else mask & ~absorbing
+
+
 def key_of(module: TensorDictModuleBase, role: str) -> NestedKey:
     """Where a network reads what plays ``role``: its attribute ``<role>_key``, or the role's name.
 
@@ -176,7 +188,7 @@ def _has(*names: str) -> Callable[[Any], bool]:
 ENCODER = Part(
     "an encoder",
     "encoder",
-    "ContextEncoder, MaskedContextEncoder or NoContext",
+    "ContextEncoder, AttentionContextEncoder, MaskedContextEncoder or NoContext",
     _has("get_dist", "context_dim"),
 )
 REWARD = Part(
