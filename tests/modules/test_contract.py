@@ -10,6 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from pemirl_trl import modules
 from pemirl_trl.modules import (
     AIRLDiscriminator,
+    CategoricalPolicy,
     ContextEncoder,
     ContextPolicy,
     ContextValue,
@@ -32,6 +33,7 @@ BUILD = {
     "discriminator": lambda s: AIRLDiscriminator(ShapedReward(S, D, standardize=s)),
     "gail_discriminator": lambda s: GAILDiscriminator(S, A, standardize=s),
     "policy": lambda s: ContextPolicy(S, A, D, standardize=s),
+    "categorical_policy": lambda s: CategoricalPolicy(S, A, D, standardize=s),
     "value": lambda s: ContextValue(S, D, T, standardize=s),
 }
 # What stands for a module's function in these tests: its differentiable output.
@@ -43,6 +45,7 @@ OUTPUTS = {
     "discriminator": ("logit_expert",),
     "gail_discriminator": ("logit_expert",),
     "policy": ("loc", "scale"),
+    "categorical_policy": ("logits",),
     "value": ("state_value",),
 }
 
@@ -149,7 +152,7 @@ def test_every_key_has_a_name_and_every_name_a_key(name):
     module = build(name)
     named = {value for key, value in vars(module).items() if key.endswith("_key")}
     named |= set(getattr(module, "role_keys", {}).values())
-    if name == "policy":
+    if name in ("policy", "categorical_policy"):
         named.add(module.log_prob_key)
     assert named == {*module.in_keys, *module.out_keys}
 

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from pemirl_trl.data.conversion import narrowed, plain_tensor, task_batch, wide_tensor
 from pemirl_trl.data.demonstration_file import read_demonstrations, write_demonstrations
+from pemirl_trl.data.entries import action_vectors, is_one_hot, observation_vectors
 from pemirl_trl.data.minari_format import read_minari, write_minari
 from pemirl_trl.data.provenance import Provenance, parse_provenance
 from pemirl_trl.data.validation import check_demonstrations, stack_episodes
@@ -32,7 +33,7 @@ class DemonstrationDataset:
     field          shape, dtype   what it is
     ============== ============== ==============================================================
     observation    [M, T+1, S]    float32; the last one is what the last action led to
-    action         [M, T, A]      float32
+    action         [M, T, A]      float32; discrete ones are one-hot, of A choices
     provenance                    :class:`Provenance`
     task           batch_size [M] ground-truth task parameters, or None. For metrics only: they
                                   never enter :meth:`trajectories`, so no learner sees them.
@@ -91,6 +92,11 @@ class DemonstrationDataset:
         """Dimension A of an action."""
         return self.action.shape[2]
 
+    @property
+    def discrete(self) -> bool:
+        """Whether actions are choices: all of them one-hot."""
+        return is_one_hot(self.action)
+
     def __getitem__(self, index: Index) -> DemonstrationDataset:
         """Return the chosen demonstrations (an int chooses one) as a dataset."""
         rows = self._rows(index)
@@ -138,9 +144,12 @@ class DemonstrationDataset:
     @classmethod
     def from_episodes(
         cls,
-        episodes: Iterable[tuple[ArrayLike, ArrayLike]],
+        episodes: Iterable[tuple[ArrayLike | Mapping[str, Any], ArrayLike]],
         provenance: Provenance | None = None,
         task: Mapping[str, ArrayLike] | TensorDictBase | None = None,
+        *,
+        discrete_actions: int | None = None,
+        observation_keys: Sequence[str] | None = None,
     ) -> DemonstrationDataset:
         """Build a dataset of ``(observation [T+1, S], action [T, A])`` pairs of arrays or tensors.
 
@@ -148,12 +157,27 @@ class DemonstrationDataset:
             episodes: one pair per demonstration, all of one horizon.
             provenance: where they come from.
             task: ground truth, a mapping of name to ``[M, ...]``.
+            discrete_actions: n, where actions are integers ``[T]`` from 0 to n - 1.
+            observation_keys: which entries of observations that are mappings of arrays
+                ``[T+1, ...]`` make the vector, in this order; ``"arm.angle"`` is nested.
 
         Raises:
             ValueError: mixed horizons or dimensions, an off-by-one, NaN, something else than real
-                numbers, or a feature that float32 cannot tell apart; the episodes are named.
+                numbers, actions or entries that are not there, or a feature that float32 cannot
+                tell apart; the episodes are named.
+
+        Example:
+            >>> walk = {"place": [[0], [1], [2]], "speed": [[0], [1], [1]]}, [2, 0]
+            >>> data = DemonstrationDataset.from_episodes(
+            ...     [walk], discrete_actions=3, observation_keys=["speed", "place"]
+            ... )
+            >>> data.observation[0, 2], data.action[0, 0], data.discrete
+            (tensor([1., 2.]), tensor([0., 0., 1.]), True)
         """
-        pairs = [_pair(i, episode) for i, episode in enumerate(episodes)]
+        pairs = [
+            _pair(i, episode, discrete_actions, observation_keys)
+            for i, episode in enumerate(episodes)
+        ]
         observation, action = stack_episodes(pairs)
         return cls(
             narrowed("observation", observation),
@@ -168,6 +192,8 @@ class DemonstrationDataset:
         rollouts: TensorDictBase,
         provenance: Provenance,
         task_key: NestedKey | None = "task",
+        *,
+        discrete_actions: int | None = None,
     ) -> DemonstrationDataset:
         """Build a dataset of whole episodes collected by TorchRL.
 
@@ -177,6 +203,7 @@ class DemonstrationDataset:
                 constant in time (their absence makes a dataset without ground truth).
             provenance: where they come from.
             task_key: where the ground truth is; None ignores it.
+            discrete_actions: n, where actions are indices ``[M, T]`` and not one-hot.
 
         Raises:
             ValueError: not ``[M, T]``, an episode that was reset on the way, or whose task changed,
@@ -192,11 +219,9 @@ class DemonstrationDataset:
                 _check_constant("changed their task on the way", value[:, 1:], value[:, :-1])
             task = task[:, 0].clone()
         observation = torch.cat([observation, following[:, -1:]], dim=1)  # [M, T+1, S]
-        observation, action = (
-            narrowed(name, wide_tensor(value, name))
-            for name, value in (("observation", observation), ("action", rollouts["action"]))
-        )
-        return cls(observation, action, provenance, task)
+        action = action_vectors(rollouts["action"], discrete_actions, "action", leading=2)
+        observation = narrowed("observation", wide_tensor(observation, "observation"))
+        return cls(observation, narrowed("action", action), provenance, task)
 
     # --- files ---------------------------------------------------------------------------------
 
@@ -232,18 +257,28 @@ class DemonstrationDataset:
             described: ``author``, ``author_email``, ``code_permalink``, ... for Minari's metadata.
         """
         metadata = {"provenance": asdict(self.provenance)}
-        write_minari(dataset_id, self.observation, self.action, self.task, metadata, **described)
+        action = self.action.argmax(-1) if self.discrete else self.action
+        choices = self.action_dim if self.discrete else None
+        write_minari(
+            dataset_id, self.observation, action, self.task, metadata, choices=choices, **described
+        )
 
     @classmethod
-    def from_minari(cls, dataset_id: str) -> DemonstrationDataset:
+    def from_minari(
+        cls, dataset_id: str, *, observation_keys: Sequence[str] | None = None
+    ) -> DemonstrationDataset:
         """Read a local Minari dataset, written by :meth:`to_minari` or by anyone.
+
+        Args:
+            dataset_id: its name; its discrete actions become one-hot.
+            observation_keys: of observations that are dictionaries; see :meth:`from_episodes`.
 
         Raises:
             ImportError: the ``minari`` extra is not installed.
-            ValueError: its episodes do not share one horizon, hold something else than vectors, or
-                a feature that float32 cannot tell apart.
+            ValueError: its episodes do not share one horizon, hold something else than vectors (or
+                choices, as actions), or a feature that float32 cannot tell apart.
         """
-        episodes, task, metadata = read_minari(dataset_id)
+        episodes, task, metadata, choices = read_minari(dataset_id)
         if metadata is None:
             provenance = Provenance(environment=dataset_id)
         else:
@@ -251,7 +286,13 @@ class DemonstrationDataset:
             stored = check_fields(metadata, {"provenance": dict}, what)["provenance"]
             provenance = parse_provenance(stored, what)
         try:
-            return cls.from_episodes(episodes, provenance, task)
+            return cls.from_episodes(
+                episodes,
+                provenance,
+                task,
+                discrete_actions=choices,
+                observation_keys=observation_keys,
+            )
         except ValueError as error:
             raise ValueError(f"{dataset_id}: {error}") from error
 
@@ -262,7 +303,9 @@ def _check_constant(what: str, later: Tensor, earlier: Tensor) -> None:
         raise ValueError(f"episodes {bad[:5]} {what}; expected one whole episode per row")
 
 
-def _pair(index: int, episode: Any) -> tuple[Tensor, Tensor]:
+def _pair(
+    index: int, episode: Any, choices: int | None, keys: Sequence[str] | None
+) -> tuple[Tensor, Tensor]:
     try:
         observation, action = episode
     except (TypeError, ValueError) as error:
@@ -270,8 +313,8 @@ def _pair(index: int, episode: Any) -> tuple[Tensor, Tensor]:
             f"episode {index} is a {type(episode).__name__}; expected a pair (observation, action)"
         ) from error
     return (
-        wide_tensor(observation, f"episode {index}: observation"),
-        wide_tensor(action, f"episode {index}: action"),
+        observation_vectors(observation, keys, f"episode {index}: observation"),
+        action_vectors(action, choices, f"episode {index}: action"),
     )
 
 

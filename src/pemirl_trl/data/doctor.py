@@ -73,11 +73,23 @@ def examine(dataset: DemonstrationDataset, action_bounds: Bounds | None = None) 
             may exceed them, since an environment clips; far outside is suspicious.
 
     Raises:
-        ValueError: the bounds are not of the actions' dimension, or the lower is not the lower.
+        ValueError: the bounds are not of the actions' dimension, the lower is not the lower, or
+            actions are discrete and have none.
     """
+    discrete = dataset.discrete
+    if discrete and action_bounds is not None:
+        raise ValueError(
+            f"got action_bounds {action_bounds}, but the actions are {dataset.action_dim} choices; "
+            "expected None"
+        )
     bounds = None if action_bounds is None else _checked_bounds(action_bounds, dataset.action_dim)
     findings = [finding for check in _CHECKS for finding in check(dataset)]
-    findings += _unbounded_scale(dataset) if bounds is None else _bounded_scale(dataset, *bounds)
+    if discrete:
+        findings += _unused_choices(dataset)
+    else:
+        findings += (
+            _unbounded_scale(dataset) if bounds is None else _bounded_scale(dataset, *bounds)
+        )
     return sorted(findings, key=lambda finding: finding.severity != "error")
 
 
@@ -127,7 +139,10 @@ def _few(dataset: DemonstrationDataset) -> Iterator[Finding]:
 
 
 def _constant(dataset: DemonstrationDataset) -> Iterator[Finding]:
-    for name, values in (("observation", dataset.observation), ("action", dataset.action)):
+    values_of = {"observation": dataset.observation}
+    if not dataset.discrete:  # of choices, one that is never taken is no constant to leave out
+        values_of["action"] = dataset.action
+    for name, values in values_of.items():
         flat = values.double().flatten(0, 1).std(0, correction=0) <= CONSTANT
         if flat.any():
             cure = "leave it out, unless it varies elsewhere"
@@ -230,6 +245,15 @@ def _mixed_rates(dataset: DemonstrationDataset) -> Iterator[Finding]:
             f"the smaller group: {episode_names(fewer.sort().values)}",
             "resample to one rate",
         )
+
+
+def _unused_choices(dataset: DemonstrationDataset) -> Iterator[Finding]:
+    """Discrete actions that nobody takes."""
+    taken = dataset.action.sum((0, 1)) > 0
+    if not taken.all():
+        unused = [i for i, used in enumerate(taken.tolist()) if not used]
+        cure = "check the number of actions and the order in which they are counted"
+        yield Finding("warning", "discrete actions that are never taken", f"{unused}", cure)
 
 
 def _unbounded_scale(dataset: DemonstrationDataset) -> Iterator[Finding]:

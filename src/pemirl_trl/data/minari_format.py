@@ -37,6 +37,8 @@ def write_minari(
     action: Tensor,
     task: TensorDictBase | None,
     metadata: dict[str, Any],
+    *,
+    choices: int | None = None,
     **described: Any,
 ) -> None:
     """Create the local Minari dataset ``dataset_id`` of M episodes.
@@ -45,6 +47,7 @@ def write_minari(
         dataset_id: ``(namespace/)(environment/)name-v<version>``.
         observation: ``[M, T+1, S]``; action: ``[M, T, A]``; task: batch_size ``[M]`` or None.
         metadata: JSON mapping, stored under one key of the dataset's metadata.
+        choices: n, of actions that are indices ``[M, T]``; None: they are vectors.
         described: passed on to ``minari.create_dataset_from_buffers`` (``author``,
             ``author_email``, ``code_permalink``, ``algorithm_name``, ``description``, ...).
     """
@@ -70,7 +73,11 @@ def write_minari(
             dataset_id,
             buffers,
             observation_space=spaces.Box(-np.inf, np.inf, observation.shape[2:], np.float32),
-            action_space=spaces.Box(-np.inf, np.inf, action.shape[2:], np.float32),
+            action_space=(
+                spaces.Box(-np.inf, np.inf, action.shape[2:], np.float32)
+                if choices is None
+                else spaces.Discrete(choices)
+            ),
             **described,
         )
     dataset.storage.update_metadata({_METADATA_KEY: json.dumps(metadata)})
@@ -78,26 +85,32 @@ def write_minari(
 
 def read_minari(
     dataset_id: str,
-) -> tuple[list[tuple[NDArray[Any], NDArray[Any]]], TensorDictBase | None, dict[str, Any] | None]:
+) -> tuple[
+    list[tuple[Any, NDArray[Any]]], TensorDictBase | None, dict[str, Any] | None, int | None
+]:
     """Read the local Minari dataset ``dataset_id``, written by anyone.
 
     Returns:
-        ``(observation [T+1, S], action [T, A])`` per episode, as stored; the task parameters with
-        batch_size ``[M]``, if every episode has some; the metadata of :func:`write_minari`, if any.
+        ``(observation [T+1, S], action [T, A])`` per episode, as stored (an observation may be a
+        dictionary of arrays; actions of n choices are ``[T]``, from 0); the task parameters with
+        batch_size ``[M]``, if every episode has some; the metadata of :func:`write_minari`, if any;
+        and n.
 
     Raises:
         ImportError: the ``minari`` extra is not installed.
-        ValueError: observations or actions are not plain arrays.
+        ValueError: observations or actions are neither of these.
     """
     minari, spaces = _import_minari()
     dataset = minari.load_dataset(dataset_id)
-    for space in (dataset.observation_space, dataset.action_space):
-        if not isinstance(space, spaces.Box):
-            raise ValueError(
-                f"{dataset_id} has the space {space}; expected Boxes of observations and actions"
-            )
+    observed, acted = dataset.observation_space, dataset.action_space
+    if not isinstance(observed, spaces.Box | spaces.Dict):
+        raise ValueError(f"{dataset_id} observes {observed}; expected a Box, or a Dict of Boxes")
+    if not isinstance(acted, spaces.Box | spaces.Discrete):
+        raise ValueError(f"{dataset_id} has the actions {acted}; expected a Box or Discrete")
+    choices = int(acted.n) if isinstance(acted, spaces.Discrete) else None
+    first = 0 if choices is None else int(acted.start)
     episodes = [
-        (np.asarray(episode.observations), np.asarray(episode.actions))
+        (episode.observations, np.asarray(episode.actions) - first)
         for episode in dataset.iterate_episodes()
     ]
     facts = dataset.storage.get_episode_metadata(dataset.episode_indices)
@@ -108,7 +121,7 @@ def read_minari(
         else None
     )
     raw = dataset.storage.metadata.get(_METADATA_KEY)
-    return episodes, task, None if raw is None else json.loads(raw)
+    return episodes, task, None if raw is None else json.loads(raw), choices
 
 
 def _to_tensors(nested: dict[str, Any]) -> dict[str, Any]:

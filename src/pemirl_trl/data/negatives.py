@@ -17,6 +17,7 @@ NEGATIVE_KEYS: tuple[NestedKey, ...] = (
     "context",
     "action_log_prob",
 )
+"""What is kept of a rollout: all that a discriminator and its batches read."""
 
 
 def gather_steps(trajectories: TensorDictBase, rows: Tensor, times: Tensor) -> TensorDict:

@@ -96,7 +96,8 @@ def stack_episodes(episodes: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, T
         shapes = [tuple(x.shape) for x in episodes[flat[0]]]
         raise ValueError(
             f"{episode_names(flat)}: got observation and action of shapes {shapes[0]} and "
-            f"{shapes[1]}; expected [T+1, S] and [T, A]"
+            f"{shapes[1]}; expected [T+1, S] and [T, A] (for integers [T] that are choices, "
+            "discrete_actions says how many there are)"
         )
     uneven = [i for i, (o, a) in enumerate(episodes) if len(o) != len(a) + 1]
     if uneven:

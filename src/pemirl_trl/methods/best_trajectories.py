@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
-from pemirl_trl.modules import ContextPolicy
+from pemirl_trl.modules.model import Policy
 
 _KEPT = ("observation", "action")
 _STRIDE = 4  # steps between those that are scored: a ranking needs no more, and it is all the cost
@@ -100,11 +100,12 @@ class BestTrajectories:
             "best/from_other_tasks": float((better & foreign).float().mean()),
         }
 
-    def loss(self, policy: ContextPolicy, coeff: float) -> Callable[[], Tensor]:
+    def loss(self, policy: Policy, coeff: float) -> Callable[[], Tensor]:
         """() -> coeff/2 E |mu(s, m) - a|^2 over the steps of the best trajectories.
 
         The log-likelihood times the policy's variance: as the policy becomes precise, imitation
-        gives way to the reward, whose gradient then grows.
+        gives way to the reward, whose gradient then grows. Of discrete actions mu are the
+        probabilities, and this is half of Brier's score: as proper as the likelihood, and bounded.
         """
         if self._best is None:
             raise RuntimeError("no trajectories yet: call update first")

@@ -11,7 +11,7 @@ from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from pemirl_trl.methods.requirements import check_environment
 from pemirl_trl.methods.sampling import sampler_of
-from pemirl_trl.modules import ContextPolicy
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.transforms import InferContext
 
 Transformed = TypeVar("Transformed", bound=Transform)
@@ -32,7 +32,7 @@ class EpisodeCollector:
         ValueError: the environment is not one that the policy can act in.
     """
 
-    def __init__(self, env: EnvBase, policy: ContextPolicy, horizon: int) -> None:
+    def __init__(self, env: EnvBase, policy: Policy, horizon: int) -> None:
         check_environment(env, policy, horizon)
         self.horizon = horizon
         self.frames = env.batch_size[0] * horizon

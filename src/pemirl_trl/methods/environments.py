@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium
@@ -23,7 +23,7 @@ from torchrl.modules import RandomPolicy
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.requirements import check_environment, check_episodes
 from pemirl_trl.modules import PEMIRLModel
-from pemirl_trl.transforms import InferContext
+from pemirl_trl.transforms import InferContext, JoinObservations, OneHotActions
 
 MakeEnv = Callable[[int, int], Any]
 """(num_envs, seed) -> a TorchRL environment of batch size ``[num_envs]``, a Gymnasium vector
@@ -43,6 +43,8 @@ class Episodes:
         model: whose policy is to act.
         demonstrations: give the horizon.
         seed: of the episode that is looked at.
+        observation_keys: which entries of what it observes make the observation, in this order;
+            None: its ``"observation"`` is it. See :class:`pemirl_trl.JoinObservations`.
 
     Raises:
         TypeError: ``make_env`` returns something else than an environment.
@@ -55,8 +57,11 @@ class Episodes:
         model: PEMIRLModel,
         demonstrations: DemonstrationDataset,
         seed: int = 0,
+        *,
+        observation_keys: Sequence[str] | None = None,
     ) -> None:
         self._make_env, self._horizon = make_env, model.horizon
+        self._observation_keys = observation_keys
         with torch.random.fork_rng(devices=[]):
             env = self._batched(_PROBED, seed)
             infer = InferContext(model.encoder, demonstrations.trajectories())
@@ -78,7 +83,10 @@ class Episodes:
                 f"make_env({num_envs}, {seed}) returned an environment of batch size "
                 f"{list(env.batch_size)}; expected [{num_envs}]"
             )
-        return _single_precision(env)
+        if self._observation_keys is not None:
+            env = _transformed(env, JoinObservations(self._observation_keys, env))
+        one_hot = OneHotActions.of(env)
+        return _single_precision(env if one_hot is None else _transformed(env, one_hot))
 
     def _torchrl(self, num_envs: int, seed: int) -> EnvBase:
         made = self._make_env(num_envs, seed)
@@ -107,8 +115,16 @@ def wrap_gymnasium(env: VectorEnv, observation_key: str = "observation") -> EnvB
         observation_key: of an observation that is a dictionary: which entry is the observation.
 
     Raises:
-        ValueError: another autoreset mode, or no such entry.
+        ValueError: another autoreset mode, no such entry, or discrete actions that are not counted
+            from 0.
     """
+    first = getattr(env.single_action_space, "start", 0)
+    if isinstance(env.single_action_space, gymnasium.spaces.Discrete) and first != 0:
+        raise ValueError(
+            f"the environment's actions are {env.single_action_space}, and TorchRL counts from 0: "
+            f"wrap it, gymnasium.wrappers.TransformAction(env, lambda action: action + {first}, "
+            f"gymnasium.spaces.Discrete({env.single_action_space.n}))"
+        )
     mode = env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
     if mode not in (AutoresetMode.DISABLED, AutoresetMode.SAME_STEP):
         raise ValueError(

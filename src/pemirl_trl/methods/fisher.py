@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeGuard
 
 import torch
 from tensordict import TensorDictBase
@@ -11,11 +12,12 @@ from torch import Tensor, nn
 from pemirl_trl.functional.linearisation import pull_back, push_forward
 from pemirl_trl.modules import ContextPolicy
 from pemirl_trl.modules.context_encoder import diagonal_normal
+from pemirl_trl.modules.model import Policy
 
 FisherProduct = Callable[[Tensor], Tensor]
 
 
-def has_closed_form(policy: ContextPolicy) -> bool:
+def has_closed_form(policy: Policy) -> TypeGuard[ContextPolicy]:
     """Whether :func:`gaussian_fisher_product` knows the policy's Fisher information.
 
     It does if the policy is a diagonal Gaussian whose mean is an MLP of ReLUs or of tanhs, all of

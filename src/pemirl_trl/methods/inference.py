@@ -12,6 +12,7 @@ from torch.distributions import Distribution
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.own_training import as_dataset
 from pemirl_trl.modules import FamilyDistance, PEMIRLModel, ShapedReward
+from pemirl_trl.sharing import PortableReward
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +29,7 @@ class Inference:
     posterior: Distribution
     context: Tensor
     distance: FamilyDistance | None
-    _model: PEMIRLModel = field(repr=False)
+    _model: PEMIRLModel | PortableReward = field(repr=False)
 
     @torch.no_grad()
     def reward(self, observation: Tensor) -> Tensor:
@@ -50,11 +51,13 @@ class Inference:
         return f"m = [{m}]\ndistance: {self.distance or distance}"
 
 
-def infer(model: PEMIRLModel, demonstration: DemonstrationDataset | str | Path) -> Inference:
+def infer(
+    model: PEMIRLModel | PortableReward, demonstration: DemonstrationDataset | str | Path
+) -> Inference:
     """Infer the context and the reward of one demonstration.
 
     Args:
-        model: a trained one.
+        model: a trained one, or its reward alone, of :func:`pemirl_trl.load_reward`.
         demonstration: a data set of one, or the file of it.
 
     Raises:
@@ -78,7 +81,9 @@ def infer(model: PEMIRLModel, demonstration: DemonstrationDataset | str | Path) 
     return Inference(one, context, distance, model)
 
 
-def check_demonstrations(model: PEMIRLModel, demonstrations: DemonstrationDataset) -> None:
+def check_demonstrations(
+    model: PEMIRLModel | PortableReward, demonstrations: DemonstrationDataset
+) -> None:
     """Raise ValueError unless a model can read rewards from demonstrations."""
     if model.config.context_dim == 0 or not isinstance(model.reward, ShapedReward):
         raise ValueError(
@@ -94,4 +99,10 @@ def check_demonstrations(model: PEMIRLModel, demonstrations: DemonstrationDatase
         raise ValueError(
             f"the demonstrations have (S, A, T) = {got}: observed numbers, actions and steps; this "
             f"model was trained on {wanted}"
+        )
+    if model.config.actions == "discrete" and not d.discrete:
+        raise ValueError(
+            f"the demonstrated actions are vectors of real numbers; this model was trained on "
+            f"{model.action_dim} choices, one-hot: from_episodes(..., discrete_actions="
+            f"{model.action_dim}) makes such of integers"
         )

@@ -18,6 +18,7 @@ from pemirl_trl.configuration import CHECKED, Count, NonNegative
 from pemirl_trl.methods.adversarial import AdaptiveSampler, PolicyConfig, learned_policy_reward
 from pemirl_trl.methods.airl import AIRLConfig, set_learning_rate
 from pemirl_trl.methods.discriminator_batches import BatchConfig
+from pemirl_trl.methods.trpo import TRPOConfig
 from pemirl_trl.modules import AIRLDiscriminator, PEMIRLModel
 from pemirl_trl.objectives import DiscriminatorLoss, InfoLoss
 from pemirl_trl.objectives.info import Form, Summand
@@ -30,8 +31,8 @@ INFORMING = ("observation", "action", ("next", "observation"), "context", "demon
 class PEMIRLConfig(AIRLConfig):
     """Of meta-training, beside what adversarial IRL has.
 
-    The defaults are the paper's method on Point-Maze, with the information term rescaled for
-    stability (``info_time_mean``, ``info_normalize``).
+    The defaults are the paper's method, with settings that hold on every domain
+    (:meth:`paper`).
 
     Attributes:
         encoder_lr: of psi; 0 leaves it as it is.
@@ -42,24 +43,19 @@ class PEMIRLConfig(AIRLConfig):
             :class:`InfoLoss`.
     """
 
-    encoder_lr: NonNegative = 1e-4
+    encoder_lr: NonNegative = 0.0
     encoder_gradient: bool = False
-    info_coeff: NonNegative = 0.03
+    info_coeff: NonNegative = 0.1
     info_contexts: Count = 10
     info_summand: Summand = "shaped"
     info_time_mean: bool = True
-    info_normalize: bool = True
-    info_form: Form = "covariance"
-    info_prior_fraction: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    info_normalize: bool = False
+    info_form: Form = "tilted"
+    info_prior_fraction: Annotated[float, Field(ge=0, lt=1)] = 0.01
 
     @classmethod
     def paper(cls) -> PEMIRLConfig:
-        """Algorithm 1: the defaults."""
-        return cls()
-
-    @classmethod
-    def bounded(cls) -> PEMIRLConfig:
-        """The paper's equations with settings that hold on every domain.
+        """Algorithm 1 with settings that hold on every domain: the defaults.
 
         The information term has the paper's weight of 0.1, in a form that is bounded (tilted, with
         q mixed with the prior): rescaled, it drives r without end where the discriminator is
@@ -68,12 +64,38 @@ class PEMIRLConfig(AIRLConfig):
         (``learn_policy_scale``) and no bonus on entropy: a deviation held at 1 caps what any
         policy can do, and with actions that the simulator clamps entropy costs nothing.
         """
+        return cls()
+
+    @classmethod
+    def literal(cls) -> PEMIRLConfig:
+        """Algorithm 1 to the letter, wherever the paper gives a value.
+
+        L_info as Lemma 2 has it, unscaled, with weight 0.1; psi follows it at Adam's default rate;
+        the policy maximises log D - log(1 - D), with an entropy weight of 0.1 (the paper's of
+        Point-Maze is 1.0). Made for comparison: it does not hold up (docs/method.md).
+        """
         return cls(
-            encoder_lr=0.0,
-            info_coeff=0.1,
-            info_normalize=False,
-            info_form="tilted",
-            info_prior_fraction=0.01,
+            encoder_lr=1e-3,
+            info_time_mean=False,
+            info_form="covariance",
+            info_prior_fraction=0.0,
+            policy_reward="score",
+            policy=PolicyConfig(trpo=TRPOConfig(entropy_coeff=0.1)),
+        )
+
+    @classmethod
+    def rescaled(cls) -> PEMIRLConfig:
+        """Point-Maze's settings of old: log q in deviations of the batch, r's return by T.
+
+        It goes with a deviation that is held at 1, and fails on bodies with many joints: nothing
+        opposes the rescaled term where the discriminator is saturated.
+        """
+        return cls(
+            encoder_lr=1e-4,
+            info_coeff=0.03,
+            info_normalize=True,
+            info_form="covariance",
+            info_prior_fraction=0.0,
         )
 
     @classmethod
@@ -85,9 +107,10 @@ class PEMIRLConfig(AIRLConfig):
         negatives enclose the expert's support, the penalty keeps a global slope. For half of the
         iterations the policy explores with a deviation of 1 while the reward takes shape; then the
         reward's learning rate fades out, and the policy acts ever more precisely, with a growing
-        weight on imitation.
+        weight on imitation. The information term is :meth:`rescaled`'s.
         """
-        return cls(
+        return replace(
+            cls.rescaled(),
             final_reward_lr=1e-4,
             gradient_penalty_coeff=0.1,
             batch=BatchConfig(jitter_fraction=0.5, jitter_scale=2.0),

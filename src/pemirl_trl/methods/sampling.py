@@ -8,6 +8,7 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 from pemirl_trl.modules import ContextPolicy
 from pemirl_trl.modules.context_encoder import diagonal_normal
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.modules.reading import read
 
 
@@ -43,7 +44,8 @@ class GaussianSampler(TensorDictModuleBase):
         return tensordict.set(policy.log_prob_key, normal.log_prob(action))
 
 
-def sampler_of(policy: ContextPolicy) -> TensorDictModuleBase:
+def sampler_of(policy: Policy) -> TensorDictModuleBase:
     """What a collector calls for a policy: the policy itself, unless there is a faster way."""
-    gaussian = type(policy) is ContextPolicy and policy[-1].distribution_class is diagonal_normal
-    return GaussianSampler(policy) if gaussian else policy
+    if type(policy) is ContextPolicy and policy[-1].distribution_class is diagonal_normal:
+        return GaussianSampler(policy)
+    return policy

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pemirl_trl.configuration import CHECKED, Count, NonNegative, Positive, Share
 from pemirl_trl.methods.fisher import gaussian_fisher_product, has_closed_form
-from pemirl_trl.modules import ContextPolicy
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.objectives import FiniteHorizonAdvantage, TRPOLoss
 from pemirl_trl.optim import TrustRegionOptimizer
 
@@ -54,7 +54,7 @@ class TRPO:
 
     def __init__(
         self,
-        policy: ContextPolicy,
+        policy: Policy,
         config: TRPOConfig,
         rollouts_per_context: int,
     ) -> None:
@@ -65,7 +65,7 @@ class TRPO:
             gamma=config.gamma,
             lmbda=config.lmbda,
             rollouts_per_context=rollouts_per_context,
-            observation_map=policy.gaussian.standardize,
+            observation_map=policy.standardize,
             standardize=config.standardize,
         )
         self.optimizer = TrustRegionOptimizer(

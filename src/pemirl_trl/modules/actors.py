@@ -121,6 +121,7 @@ class ContextPolicy(ProbabilisticActor):
         self.observation_key: NestedKey = "observation"
         self.context_key = context_key
         self.loc_key, self.scale_key, self.action_key = "loc", "scale", "action"
+        self.action_dim = action_dim
 
     @property
     def log_prob_key(self) -> NestedKey:
@@ -131,6 +132,16 @@ class ContextPolicy(ProbabilisticActor):
     def gaussian(self) -> _GaussianNet:
         """The network of mean and deviation."""
         return self.module[0].net
+
+    @property
+    def net(self) -> nn.Module:
+        """The network of the mean."""
+        return self.gaussian.net
+
+    @property
+    def standardize(self) -> Standardize:
+        """The map of observations."""
+        return self.gaussian.standardize
 
     @property
     def log_scale(self) -> nn.Parameter:

@@ -24,6 +24,7 @@ WRITERS: dict[NestedKey, str] = {
     "demonstrations)); for stored trajectories draw it, encoder.get_dist(trajectories).rsample()",
     "loc": _COLLECTION,
     "scale": _COLLECTION,
+    "logits": _COLLECTION,
     "action_log_prob": f"{_COLLECTION}; of expert transitions it is "
     "policy.get_dist(batch).log_prob(action)",
     "next_observation": _ENVIRONMENT,
@@ -190,7 +191,7 @@ DISCRIMINATOR = Part(
 POLICY = Part(
     "a policy",
     "policy",
-    "ContextPolicy, or a ProbabilisticActor",
+    "ContextPolicy, CategoricalPolicy or a ProbabilisticActor",
     # An encoder is a distribution too; what sets it apart is the context that it gives.
     lambda value: _has("build_dist_from_params")(value) and not hasattr(value, "context_dim"),
 )

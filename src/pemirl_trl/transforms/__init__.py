@@ -1,7 +1,9 @@
 """Transforms for TorchRL environments and stored batches."""
 
+from pemirl_trl.transforms.actions import OneHotActions
 from pemirl_trl.transforms.context import InferContext
 from pemirl_trl.transforms.learned_reward import LearnedReward
+from pemirl_trl.transforms.observations import JoinObservations
 from pemirl_trl.transforms.tasks import SampleTasks
 
-__all__ = ["InferContext", "LearnedReward", "SampleTasks"]
+__all__ = ["InferContext", "JoinObservations", "LearnedReward", "OneHotActions", "SampleTasks"]
