@@ -52,6 +52,19 @@ def tests(session: nox.Session) -> None:
 
 
 @nox.session
+def newest(session: nox.Session) -> None:
+    """Run the fast tests with the newest versions that the ranges allow; arguments install others.
+
+    ``nox -s newest -- "mujoco>=4"`` tries what lies beyond a range.
+    """
+    session.install("--upgrade", "--upgrade-strategy", "eager", "-e", ".[test]")
+    if session.posargs:
+        session.run("pip", "install", "--upgrade", *session.posargs)
+    session.run("pip", "list")
+    session.run("pytest", env=DETERMINISTIC)
+
+
+@nox.session
 def long(session: nox.Session) -> None:
     """Run the tests that take minutes, and keep their verdicts in results/long_tests.txt."""
     install(session, "-e", ".[test]")

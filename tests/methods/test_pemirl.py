@@ -214,3 +214,18 @@ def test_the_imitation_loss_shows_each_demonstration_its_own_context(reach):
     torch.testing.assert_close(loss, -0.5 * torch.stack(expected).sum(-1).mean())
     off = reach.pemirl(policy=PolicyConfig(imitation_coeff=0.0))
     assert off.sampler.imitation_loss(rollouts) is None
+
+
+# --- losses that move nothing are not computed ------------------------------------------------
+
+
+@pytest.mark.parametrize("settings", [{"info_coeff": 0.0}, {}])
+def test_an_encoder_at_rest_costs_no_step_and_changes_no_bit(settings, maze, differences):
+    resting, all_but = (maze.pemirl(encoder_lr=lr, **settings) for lr in (0.0, 1e-38))
+    (parameters, metrics), (others, other_metrics) = run(resting, 2), run(all_but, 2)
+    assert not resting._encoder_optimizer.state
+    assert all_but._encoder_optimizer.state
+    # Adam's smallest step moves weights that are 0, and nothing else.
+    moved = {name.split(".")[0] for name in differences(parameters, others)}
+    assert moved <= {"encoder"}
+    assert metrics == other_metrics

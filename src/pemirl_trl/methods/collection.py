@@ -11,6 +11,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from pemirl_trl.methods.requirements import check_environment
+from pemirl_trl.methods.sampling import sampler_of
 from pemirl_trl.modules.model import Policy
 from pemirl_trl.transforms import InferContext
 
@@ -41,7 +42,7 @@ class EpisodeCollector:
         self._knows_tasks = all(t.knows_tasks for t in _transforms(env, InferContext))
         self._collector = Collector(
             env,
-            policy,
+            sampler_of(policy),
             frames_per_batch=self.frames,
             total_frames=-1,
             device=env.device,  # said outright, it saves a copy of every step's data

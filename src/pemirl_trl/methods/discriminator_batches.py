@@ -11,6 +11,7 @@ from torch import Tensor
 
 from pemirl_trl.configuration import CHECKED, Count, NonNegative, Share
 from pemirl_trl.data import Negatives
+from pemirl_trl.data.negatives import gather_steps
 from pemirl_trl.modules import PEMIRLModel
 
 NegativeLogProb = Literal["collection", "current"]
@@ -109,17 +110,15 @@ class DiscriminatorBatches:
     def _expert(self) -> TensorDict:
         c = self.config
         index = torch.randint(self.demonstrations.batch_size[0], (c.trajectories,))
-        drawn = self.demonstrations[index]
+        encoder = self.model.encoder
+        drawn = self.demonstrations.select(*encoder.in_keys, strict=False)[index]
         with torch.set_grad_enabled(self.encoder_gradient):
-            m = self.model.encoder.get_dist(drawn).rsample()  # [n, D]
-        horizon = drawn["action"].shape[1]
-        rows = torch.arange(c.trajectories).unsqueeze(-1)
+            m = encoder.get_dist(drawn).rsample()  # [n, D]
+        horizon = self.demonstrations["action"].shape[1]
         times = torch.randint(horizon, (c.trajectories, c.time_steps))
-        if "mask" in drawn:
-            times = _within(drawn["mask"].sum(1), times.shape)
-        batch = TensorDict({}, times.shape)
-        for key in FIELDS[:-1]:
-            batch.set(key, drawn.get(key)[rows, times])
+        if "mask" in self.demonstrations:
+            times = _within(self.demonstrations["mask"][index].sum(1), times.shape)
+        batch = gather_steps(self.demonstrations.select(*FIELDS[:-1]), index, times)
         batch.set("context", m.unsqueeze(1).expand(*times.shape, -1))
         batch.set("action_log_prob", self._log_prob(batch))
         return batch.set("is_expert", _flag(times, True))

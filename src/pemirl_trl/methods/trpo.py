@@ -11,6 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from pemirl_trl.configuration import CHECKED, Count, NonNegative, Positive, Share
+from pemirl_trl.methods.fisher import gaussian_fisher_product, has_closed_form
 from pemirl_trl.modules.model import Policy
 from pemirl_trl.modules.reading import acted_steps
 from pemirl_trl.objectives import FiniteHorizonAdvantage, TRPOLoss
@@ -100,7 +101,11 @@ class TRPO:
             loss = losses["loss_objective"]
             return loss if extra_loss is None else loss + extra_loss(), losses["kl"]
 
-        result = self.optimizer.step(closure, lambda: self.loss(fisher_batch)["kl"])
+        if has_closed_form(self.policy):
+            product = gaussian_fisher_product(self.policy, fisher_batch)
+            result = self.optimizer.step(closure, fisher_product=product)
+        else:
+            result = self.optimizer.step(closure, lambda: self.loss(fisher_batch)["kl"])
         return {
             "trpo/accepted": float(result.accepted),
             "trpo/kl": result.kl,
