@@ -283,7 +283,7 @@ SIGNS: tuple[Sign, ...] = (
         above=True,
         patience=5,
         cure="training.gradient_penalty_coeff=0.1, less of training.info_coeff, or the bounded "
-        "information term (method=pemirl_bounded)",
+        "information term (method=pemirl)",
     ),
     Sign(
         name="deviation runaway",

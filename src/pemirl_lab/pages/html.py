@@ -12,7 +12,18 @@ from matplotlib.figure import Figure
 
 from pemirl_trl.files import atomic_path
 
-__all__ = ["facts", "figure", "paragraph", "section", "table", "write_page"]
+__all__ = [
+    "facts",
+    "figure",
+    "film",
+    "page",
+    "paragraph",
+    "picture",
+    "section",
+    "subsection",
+    "table",
+    "write_page",
+]
 
 _STYLE = """
 :root { color-scheme: light; }
@@ -25,7 +36,8 @@ th { border-bottom: 2px solid #999; } th:first-child, td:first-child { text-alig
 table.facts td { text-align: left; } table.facts td:first-child { color: #555; }
 .wide { overflow-x: auto; } code { background: #f3f3f3; padding: .1em .3em; }
 figure { margin: 1.2rem 0; } figcaption { color: #555; font-size: .9rem; }
-img { max-width: 100%; height: auto; }
+img, video { max-width: 100%; height: auto; }
+h3 { font-size: 1rem; } h3.well { color: #00664b; } h3.sick { color: #a8430a; }
 """
 _DPI = 110
 
@@ -40,6 +52,11 @@ def paragraph(text: str) -> str:
 def section(title: str, parts: Iterable[str]) -> str:
     """Parts below a heading."""
     return "\n".join([f"<h2>{escape(title)}</h2>", *parts])
+
+
+def subsection(title: str, parts: Iterable[str], mood: str = "") -> str:
+    """Parts below a smaller heading; ``mood`` is ``well`` or ``sick``, and colours it."""
+    return "\n".join([f'<h3 class="{mood}">{escape(title)}</h3>', *parts])
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -59,21 +76,39 @@ def figure(drawn: Figure, caption: str) -> str:
     content = io.BytesIO()
     # Without the writer's version in it: the same figure is the same page.
     drawn.savefig(content, format="png", dpi=_DPI, metadata={"Software": None})
-    data = base64.b64encode(content.getvalue()).decode("ascii")
-    source = f'<img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
+    return picture(content.getvalue(), "image/png", caption)
+
+
+def picture(content: bytes, kind: str, caption: str) -> str:
+    """A picture of a MIME type such as ``image/png``, inside of the page."""
+    source = f'<img alt="{escape(caption)}" src="{_inline(content, kind)}">'
     return f"<figure>{source}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
-def write_page(file: Path, title: str, parts: Iterable[str]) -> None:
-    """Write a page, atomically; it refers to nothing outside of itself."""
+def film(content: bytes, caption: str) -> str:
+    """An mp4 film inside of the page."""
+    source = f'<video controls loop muted src="{_inline(content, "video/mp4")}"></video>'
+    return f"<figure>{source}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def page(title: str, parts: Iterable[str]) -> str:
+    """A whole page, which refers to nothing outside of itself."""
     head = (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>{_STYLE}</style></head>\n"
     )
-    body = "\n".join([f"<body><h1>{escape(title)}</h1>", *parts, "</body></html>\n"])
+    return head + "\n".join([f"<body><h1>{escape(title)}</h1>", *parts, "</body></html>\n"])
+
+
+def write_page(file: Path, title: str, parts: Iterable[str]) -> None:
+    """Write a page, atomically."""
     with atomic_path(file) as temporary:
-        temporary.write_text(head + body, encoding="utf-8")
+        temporary.write_text(page(title, parts), encoding="utf-8")
+
+
+def _inline(content: bytes, kind: str) -> str:
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
 def _row(cells: Sequence[str], tag: str) -> str:
