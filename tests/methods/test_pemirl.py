@@ -99,8 +99,8 @@ def test_the_seed_decides_everything(reach, differences):
     ("frozen", "config"),
     [
         ("encoder", {"encoder_lr": 0.0, "encoder_gradient": True}),
-        ("reward", {"reward_lr": 0.0, "gradient_penalty_coeff": 1.0}),
-        ("policy", {"policy": PolicyConfig(trpo=TRPOConfig(max_kl=1e-30))}),
+        ("reward", {"encoder_lr": 1e-4, "reward_lr": 0.0, "gradient_penalty_coeff": 1.0}),
+        ("policy", {"encoder_lr": 1e-4, "policy": PolicyConfig(trpo=TRPOConfig(max_kl=1e-30))}),
     ],
 )
 def test_each_network_has_one_optimiser(frozen, config, reach):
@@ -126,14 +126,17 @@ def encoder_beside_another_reward(problem, **config):
 
 def test_psi_moves_by_the_information_loss_alone(reach, differences):
     # The reward makes the classification loss and Lemma 2's, but not -E log q(m|tau).
-    assert differences(encoder_after(reach), encoder_beside_another_reward(reach)) == []
-    assert differences(encoder_after(reach), encoder_after(reach, info_coeff=5.0)) == []
+    base = {"encoder_lr": 1e-4}
+    after = encoder_after(reach, **base)
+    assert differences(after, encoder_beside_another_reward(reach, **base)) == []
+    assert differences(after, encoder_after(reach, info_coeff=5.0, **base)) == []
 
 
 def test_the_discriminator_trains_psi_where_it_is_told_to(reach, differences):
-    on = {"encoder_gradient": True}
+    base = {"encoder_lr": 1e-4}
+    on = base | {"encoder_gradient": True}
     assert differences(encoder_after(reach, **on), encoder_beside_another_reward(reach, **on))
-    assert differences(encoder_after(reach, **on), encoder_after(reach))
+    assert differences(encoder_after(reach, **on), encoder_after(reach, **base))
 
 
 def test_psi_descends_its_loss(reach):
