@@ -183,8 +183,7 @@ class Proof:
     def oracle(self, model: PEMIRLModel, new: DemonstrationDataset) -> ContextPolicy:
         """A policy that reads the task, on the true reward, with adaptation's own settings."""
         torch.manual_seed(self.seed)
-        overrides: dict[str, Any] = {}
-        config = adaptation_config(model, new, overrides)
+        config = adaptation_config(model, new)
         rollouts = config.rollouts // NEW
         known = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=rollouts)
         env = self.environment(NEW * rollouts, self.seed, known)

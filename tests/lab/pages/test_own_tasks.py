@@ -15,9 +15,11 @@ def test_every_seed_and_their_mean(tmp_path):
             "seed": seed,
             "gap_closed": gap,
             "means": {**means, "expert": -8.0, "random": -200.0},
-            "seconds": {"meta_training": 90.0, "adaptation": 30.0},
+            "seconds": {"meta_training": 90.0, "adaptation": 30.0, "experts": 600.0},
         }
         (tmp_path / f"pole/seed{seed}.json").write_text(json.dumps(run))
+        if seed == 0:  # has no interval
+            assert len(own_task_parts(tmp_path, ["pole"])["pole"].splitlines()) == 3
     lines = own_task_parts(tmp_path, ["pole"])["pole"].splitlines()
     assert lines[2] == "| 0 | 0.900 | -10.0 | -100.0 | -9.0 | -8.0 | -200.0 | 2.0 |"
     assert lines[-1] == (  # Student's t of three
