@@ -21,8 +21,8 @@ VELOCITY = 8  # the component of an observation
 NOISE = 0.1  # of the demonstrated actions, which are bounded by 1
 DEMONSTRATIONS = 400
 SETTINGS = ("preset=contrastive", f"task_space=[{VELOCITY}]")  # a body moves what the task is about
-TARGETS, ROLLOUTS = 40, 10  # of an iteration of the expert's training
-EXPERT_ITERATIONS = 100
+TARGETS, ROLLOUTS = 20, 8  # of an iteration of the expert's training
+EXPERT_ITERATIONS = 200
 
 
 class HalfCheetah(GymnasiumTask):
