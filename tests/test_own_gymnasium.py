@@ -109,7 +109,7 @@ def test_the_controller_reaches_and_one_of_the_other_arm_does_not(example, chang
     reacher = example("reacher")
     env = (reacher.make_changed_env if changed else reacher.make_env)(50, 0)
     for knows, bound in ((changed, 0.002), (not changed, None)):
-        last = env.rollout(50, reacher.expert(knows, 0))[:, -1]
+        last = env.rollout(50, reacher.controller(knows))[:, -1]
         goal = last["task", "goal"]
         off = (last["next", "observation"][:, 6:] - goal).norm(dim=-1).median()
         assert off < bound if bound is not None else off > 0.05

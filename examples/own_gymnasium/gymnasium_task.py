@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
 import gymnasium
 import mujoco
 import torch
+from tensordict import TensorDictBase
 from torch import Generator, Tensor
 
 from pemirl_envs import Fields, Parameters, Task
 
+Expert = Callable[[TensorDictBase], TensorDictBase]
+"""Reads the task, writes an action."""
 ASSETS = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
 
 
@@ -47,9 +51,14 @@ class GymnasiumTask(Task):
         value = parameters[self.task_key]
         return self.true_reward(self.observe(fields), action, value)[..., 0]
 
-    @staticmethod
-    def true_reward(observation: Tensor, action: Tensor, value: Tensor) -> Tensor:
+    @classmethod
+    def true_reward(cls, observation: Tensor, action: Tensor, value: Tensor) -> Tensor:
         """The reward ``[..., 1]`` for the parameter's value; no learner reads it."""
+        return torch.stack([*cls.terms(observation, action, value).values()]).sum(0)
+
+    @staticmethod
+    def terms(observation: Tensor, action: Tensor, value: Tensor) -> dict[str, Tensor]:
+        """What adds up to the true reward, each ``[..., 1]``, by name."""
         raise NotImplementedError
 
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import copy
+
 import mujoco
 import torch
-from gymnasium_task import GymnasiumTask, uniform
+from gymnasium_task import Expert, GymnasiumTask, uniform
 from tensordict import TensorDict, TensorDictBase
 from torch import Generator, Tensor, nn
 from torchrl.envs import TransformedEnv
 
 from pemirl_envs import Component, Fields, Parameters, State, TaskEnv
 from pemirl_trl import ContextPolicy, SampleTasks
-from pemirl_trl.evaluation import Actor
 from pemirl_trl.methods import PolicyOptimization, PolicyOptimizationConfig, TRPOConfig, train
 
 FASTEST = 2.0  # m/s, forward and backward
@@ -22,7 +23,7 @@ NOISE = 0.1  # of the demonstrated actions, which are bounded by 1
 DEMONSTRATIONS = 400
 SETTINGS = ("preset=contrastive", f"task_space=[{VELOCITY}]")  # a body moves what the task is about
 TARGETS, ROLLOUTS = 20, 8  # of an iteration of the expert's training
-EXPERT_ITERATIONS = 200
+EXPERT_ITERATIONS = 150  # and half as many under the change
 
 
 class HalfCheetah(GymnasiumTask):
@@ -74,10 +75,11 @@ class HalfCheetah(GymnasiumTask):
         return torch.cat([fields("qpos")[:, 1:], fields("qvel")], -1).float()
 
     @staticmethod
-    def true_reward(observation: Tensor, action: Tensor, value: Tensor) -> Tensor:
-        """Minus the error of the velocity, and Gymnasium's cost of actions, ``[..., 1]``."""
+    def terms(observation: Tensor, action: Tensor, value: Tensor) -> dict[str, Tensor]:
+        """Minus the error of the velocity, and Gymnasium's cost of actions, each ``[..., 1]``."""
         error = (observation[..., VELOCITY : VELOCITY + 1] - value).abs()
-        return -error - CONTROL_COST * action.square().sum(-1, keepdim=True)
+        cost = CONTROL_COST * action.square().sum(-1, keepdim=True)
+        return {"velocity": -error, "actions": -cost}
 
 
 def make_env(num_envs: int, seed: int) -> TaskEnv:
@@ -90,27 +92,33 @@ def make_changed_env(num_envs: int, seed: int) -> TaskEnv:
     return TaskEnv(HalfCheetah(changed=True), num_envs, seed=seed)
 
 
-def expert(changed: bool, seed: int) -> Actor:
-    """A policy that reads the velocity, trained on the true reward with TRPO."""
+def experts(seed: int) -> tuple[Expert, Expert]:
+    """Policies that read the velocity: of Gymnasium's body, and trained on under the change."""
     torch.manual_seed(seed)
-    generator = torch.Generator().manual_seed(seed)
-    task = HalfCheetah(changed)
-
-    def targets(count: int) -> TensorDictBase:
-        return TensorDict(task.sample_parameters(count, "uniform", generator), [count])
-
-    base = TaskEnv(task, TARGETS * ROLLOUTS, seed=seed)
     policy = ContextPolicy(
-        *(task.observation_size, 6, 1),
+        *(HalfCheetah.component_slice("joint_velocities").stop, 6, 1),
         activation=nn.Tanh,
         initial_scale=0.7,
         context_key=("task", "velocity"),
     )
+    reinforce(policy, HalfCheetah(), EXPERT_ITERATIONS, seed)
+    changed = copy.deepcopy(policy)
+    reinforce(changed, HalfCheetah(changed=True), EXPERT_ITERATIONS // 2, seed)
+    return policy, changed
+
+
+def reinforce(policy: ContextPolicy, task: HalfCheetah, iterations: int, seed: int) -> None:
+    """TRPO on the true reward, in place."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def targets(count: int) -> TensorDictBase:
+        return TensorDict(task.sample_parameters(count, "uniform", generator), [count])
+
     config = PolicyOptimizationConfig(
-        iterations=EXPERT_ITERATIONS,
+        iterations=iterations,
         trpo=TRPOConfig(gamma=0.99, lmbda=0.97, max_kl=0.06, standardize="context"),
         standardize_observations=True,
     )
+    base = TaskEnv(task, TARGETS * ROLLOUTS, seed=seed)
     env = TransformedEnv(base, SampleTasks(targets, rollouts_per_task=ROLLOUTS))
     train(PolicyOptimization(env, policy, task.horizon, config, rollouts_per_context=ROLLOUTS))
-    return policy

@@ -21,10 +21,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from gymnasium_task import Expert
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import nn
-from torchrl.envs import EnvBase, Transform, TransformedEnv
+from torchrl.envs import Transform, TransformedEnv
 
 from pemirl_lab.commands.adapt_reward import load_adapted
 from pemirl_lab.results import environment_facts
@@ -36,14 +37,13 @@ from pemirl_trl import (
     Provenance,
     SampleTasks,
 )
-from pemirl_trl.evaluation import Actor, episode_returns
+from pemirl_trl.evaluation import Actor, whole_episodes
 from pemirl_trl.files import atomic_path
 from pemirl_trl.methods import PolicyOptimization, adaptation_config, train
 from pemirl_trl.modules import Standardize
 from pemirl_trl.pretrained import load_model
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
-Expert = Callable[[TensorDictBase], TensorDictBase]  # reads the task, writes an action
 EPISODES = 10  # of each unseen task, for the report
 NEW = 10  # unseen tasks, with one demonstration each
 
@@ -69,7 +69,7 @@ class Proof:
 
     def __call__(self) -> dict[str, Any]:
         """Demonstrate, meta-train, adapt; what it came to, in true returns per task."""
-        before, after = self.timed("experts", self.experts)
+        before, after = self.timed("experts", lambda: self.task.experts(self.seed))
         pile = self.demonstrations(self.task.DEMONSTRATIONS, 10_000 + self.seed, before)
         new = self.demonstrations(NEW, 20_000 + self.seed, before)
         without_tasks(pile).save(self.folder / "train.safetensors")
@@ -88,7 +88,7 @@ class Proof:
             sample=False,
             tasks=new.tasks(),
         )
-        returns = {
+        scores = {
             "expert": self.score(known, after),
             "random": self.score(known, None),
             "carried_over": self.score(inferred, model.policy),
@@ -97,10 +97,16 @@ class Proof:
             "one_shot": self.score(inferred, model.policy, changed=False),
             "expert_before": self.score(known, before, changed=False),
         }
-        return self.report(returns)
+        return self.report(scores)
 
-    def report(self, returns: dict[str, list[float]]) -> dict[str, Any]:
+    def report(self, scores: dict[str, dict[str, list[float]]]) -> dict[str, Any]:
         """The result of the run, as it is stored."""
+        returns = {name: score["return"] for name, score in scores.items()}
+        terms = {
+            term: {name: sum(score[term]) / NEW for name, score in scores.items()}
+            for term in scores["adapted"]
+            if term != "return"
+        }
         means = {name: sum(each) / len(each) for name, each in returns.items()}
         worst, best = means["carried_over"], means["rl_with_true_reward"]
         adaptation = json.loads((self.folder / "adapted" / "adaptation.json").read_text("utf-8"))
@@ -109,6 +115,7 @@ class Proof:
             "seed": self.seed,
             "gap_closed": (means["adapted"] - worst) / (best - worst),
             "means": means,
+            "terms": terms,
             "per_target": returns,
             "commands": self.commands,
             "adaptation": adaptation,
@@ -123,10 +130,6 @@ class Proof:
         self.seconds[stage] = time.perf_counter() - began
         logging.info("%s seed %d: %s %.0f s", self.name, self.seed, stage, self.seconds[stage])
         return result
-
-    def experts(self) -> tuple[Expert, Expert]:
-        """Who knows the task, before the change and after it."""
-        return self.task.expert(False, self.seed), self.task.expert(True, self.seed)
 
     def demonstrations(self, n: int, seed: int, expert: Expert) -> DemonstrationDataset:
         """One demonstration of each of so many tasks, with noise on the actions."""
@@ -174,11 +177,21 @@ class Proof:
         make = self.task.make_changed_env if changed else self.task.make_env
         return TransformedEnv(make(n, seed), *transforms)
 
-    def score(self, transform: Transform, actor: Actor, *, changed: bool = True) -> list[float]:
-        """True returns, one a task: the mean action, in the same episodes for all."""
+    def score(
+        self, transform: Transform, actor: Actor, *, changed: bool = True
+    ) -> dict[str, list[float]]:
+        """True returns and their terms, one a task: the mean action, the same episodes for all."""
         torch.manual_seed(0)
-        env: EnvBase = self.environment(NEW * EPISODES, 30_000, transform.clone(), changed=changed)
-        return episode_returns(env, actor, self.horizon, episodes_per_task=EPISODES).tolist()
+        env = self.environment(NEW * EPISODES, 30_000, transform.clone(), changed=changed)
+        rollouts = whole_episodes(env, actor, self.horizon)
+        task = env.base_env.task
+        action = rollouts["action"].clamp(*task.action_bounds)
+        terms = task.terms(rollouts["observation"], action, rollouts[self.key])
+        parts = {"return": rollouts["next", "reward"], **terms}
+        return {
+            name: part.sum((1, 2)).view(NEW, EPISODES).mean(1).tolist()
+            for name, part in parts.items()
+        }
 
     def oracle(self, model: PEMIRLModel, new: DemonstrationDataset) -> ContextPolicy:
         """A policy that reads the task, on the true reward, with adaptation's own settings."""

@@ -6,12 +6,11 @@ import math
 
 import mujoco
 import torch
-from gymnasium_task import GymnasiumTask, uniform
+from gymnasium_task import Expert, GymnasiumTask, uniform
 from tensordict import TensorDictBase
 from torch import Generator, Tensor
 
 from pemirl_envs import Component, Fields, Parameters, State, TaskEnv
-from pemirl_trl.evaluation import Actor
 
 UPPER_ARM, FOREARM = 0.1, 0.11  # m, from joint to joint and to the fingertip
 STRETCH = 1.5  # of the changed arm's forearm
@@ -81,10 +80,10 @@ class Reacher(GymnasiumTask):
         return torch.cat(parts, -1).float()
 
     @staticmethod
-    def true_reward(observation: Tensor, action: Tensor, value: Tensor) -> Tensor:
-        """Minus the distance to the goal and the squared action, ``[..., 1]``."""
+    def terms(observation: Tensor, action: Tensor, value: Tensor) -> dict[str, Tensor]:
+        """Minus the distance to the goal, and minus the squared action, each ``[..., 1]``."""
         distance = (observation[..., 6:] - value).norm(dim=-1, keepdim=True)
-        return -distance - action.square().sum(-1, keepdim=True)
+        return {"distance": -distance, "actions": -action.square().sum(-1, keepdim=True)}
 
 
 FINGERTIP = Reacher().model.body("fingertip").id
@@ -100,8 +99,13 @@ def make_changed_env(num_envs: int, seed: int) -> TaskEnv:
     return TaskEnv(Reacher(changed=True), num_envs, seed=seed)
 
 
-def expert(changed: bool, seed: int) -> Actor:
-    """A controller that knows the arm and the goal; nothing about it is drawn."""
+def experts(seed: int) -> tuple[Expert, Expert]:
+    """Controllers that know the goal, of Gymnasium's arm and the changed one; none is drawn."""
+    return controller(changed=False), controller(changed=True)
+
+
+def controller(changed: bool) -> Expert:
+    """A spring and a damper towards the angles that put this arm's fingertip at the goal."""
     forearm, sign = (STRETCH * FOREARM, -1.0) if changed else (FOREARM, 1.0)
     motor = torch.tensor([1.0, sign]) / GEAR
 
