@@ -32,6 +32,7 @@ __all__ = [
     "interval_text",
     "markdown_table",
     "millions",
+    "parse_markdown_table",
     "provenance",
     "returns_table",
     "reward_table",
@@ -242,11 +243,19 @@ def provenance(results: Sequence[Result], rows: Rows) -> str:
 
 
 def markdown_table(heading: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown; empty without lines."""
+    """A table in Markdown, whose cells may hold bars; empty without lines."""
     if not lines:
         return ""
     table = [heading, ["---"] * len(heading), *lines]
-    return "".join(f"| {' | '.join(line)} |\n" for line in table)
+    escaped = ((cell.replace("|", r"\|") for cell in line) for line in table)
+    return "".join(f"| {' | '.join(line)} |\n" for line in escaped)
+
+
+def parse_markdown_table(text: str) -> list[list[str]]:
+    """The cells of :func:`markdown_table`, the heading first; empty where there is no table."""
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    cells = [re.split(r"(?<!\\) \| ", line[2:-2]) for line in lines]
+    return [[cell.replace(r"\|", "|") for cell in line] for line in cells[:1] + cells[2:]]
 
 
 def millions(steps: float) -> str:
