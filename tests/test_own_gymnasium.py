@@ -115,15 +115,16 @@ def test_the_controller_reaches_and_one_of_the_other_arm_does_not(example, chang
         assert off < bound if bound is not None else off > 0.05
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_the_stored_gap_is_that_of_the_stored_returns(name):
-    results = sorted((ROOT / "results" / "own_tasks" / name).glob("seed*.json"))
-    assert results
-    for file in results:
+def test_the_stored_gap_and_terms_are_those_of_the_stored_returns():
+    files = [f for name in IDS for f in (ROOT / "results/own_tasks" / name).glob("seed*.json")]
+    assert files
+    for file in files:
         result = json.loads(file.read_text("utf-8"))
         means = result["means"]
         for kind, each in result["per_target"].items():
             assert means[kind] == pytest.approx(np.mean(each))
+            terms = sum(term[kind] for term in result["terms"].values())
+            assert terms == pytest.approx(means[kind], rel=1e-4)
         gap = means["rl_with_true_reward"] - means["carried_over"]
         closed = (means["adapted"] - means["carried_over"]) / gap
         assert result["gap_closed"] == pytest.approx(closed)

@@ -45,7 +45,7 @@ def _table(folder: Path) -> str:
     tables = [markdown_table(heading, [*map(_line, runs), *mean])]
     if all("terms" in run for run in runs):
         tables.append(markdown_table(["term of the return", *heading[1:-1]], _terms(runs)))
-    return "\n\n".join(tables)
+    return "\n".join(tables)
 
 
 def _line(run: dict[str, Any]) -> list[str]:
