@@ -288,8 +288,8 @@ SIGNS: tuple[Sign, ...] = (
     Sign(
         name="deviation runaway",
         meaning="the policy acts ever more at random",
-        measured="deviation, as a multiple of the first",
-        reads=("policy/scale",),
+        measured="learned deviation, as a multiple of the first",
+        reads=("policy/learned_scale",),
         measure=growth,
         threshold=1.5,
         above=True,

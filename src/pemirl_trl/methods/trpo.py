@@ -106,12 +106,16 @@ class TRPO:
             result = self.optimizer.step(closure, fisher_product=product)
         else:
             result = self.optimizer.step(closure, lambda: self.loss(fisher_batch)["kl"])
+        scale = float(self.policy.log_scale.detach().exp().mean())
+        # Under a name of its own where the learner alone moves it: a sign of failure reads it.
+        learned = {"policy/learned_scale": scale} if self.policy.log_scale.requires_grad else {}
         return {
+            **learned,
             "trpo/accepted": float(result.accepted),
             "trpo/kl": result.kl,
             "trpo/improvement": result.improvement,
             "trpo/backtracks": float(result.backtracks),
             "trpo/cg_residual": result.cg_residual,
             "trpo/gradient_norm": result.gradient_norm,
-            "policy/scale": float(self.policy.log_scale.detach().exp().mean()),
+            "policy/scale": scale,
         }
