@@ -3,7 +3,7 @@ r"""How close is a reward to the true one? One HTML page with figures.
     pemirl reward_report model_file=runs/my_run/model.safetensors
     pemirl reward_report transfer=true  # and what policies trained on it reach
     pemirl reward_report reward=my_module:my_reward
-    pemirl reward_report reward=point_maze  # a file of pemirl export_reward, or a name of the zoo
+    pemirl reward_report reward=point_maze  # of the zoo, or a file of export_reward
     pemirl reward_report reward=my_module:my_reward true_reward=my_module:true_reward \
         env=my_module:make_env test_demonstrations=FILE run_dir=runs/report
 
