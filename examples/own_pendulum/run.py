@@ -48,13 +48,24 @@ def run(seed: int, training: dict[str, Any], optimization: dict[str, Any]) -> di
         training, optimization: settings that differ from the defaults, for a quick look.
     """
     began = time.perf_counter()
-    pile = task.demonstrations(400, seed=10_000 + seed)
+    model = meta_train(task.make, pile(seed), seed=seed, **training)
+    return measure(model, seed, optimization, time.perf_counter() - began)
+
+
+def pile(seed: int) -> DemonstrationDataset:
+    """What a model is trained on: 400 demonstrations, and nothing that says of which targets."""
+    return without_tasks(task.demonstrations(400, seed=10_000 + seed))
+
+
+def measure(
+    model: PEMIRLModel, seed: int, optimization: dict[str, Any], meta_training: float
+) -> dict[str, Any]:
+    """Adapt a model, and score it; ``meta_training``: the seconds that it took."""
     new = task.demonstrations(10, seed=20_000 + seed)
-    model = meta_train(task.make, without_tasks(pile), seed=seed, **training)
     trained = time.perf_counter()
     one_each = without_tasks(new)
     adaptation = adapt(model, one_each, task.make_reversed, seed=seed, **optimization)
-    seconds = {"meta_training": trained - began, "adaptation": time.perf_counter() - trained}
+    seconds = {"meta_training": meta_training, "adaptation": time.perf_counter() - trained}
     inferred = InferContext(
         model.encoder,
         new,

@@ -28,11 +28,13 @@ from tensordict.nn import TensorDictModuleBase
 from pemirl_lab.commands.meta_train import check_sizes
 from pemirl_lab.measuring.rollouts import environment, of_demonstrations, true_reward_module
 from pemirl_lab.measuring.scores import load_test_demonstrations
+from pemirl_lab.pages.drawing import draw_known_maps
+from pemirl_lab.pages.run_page import write_run_page
 from pemirl_lab.runs.own_task import OwnTask, load_make_env
 from pemirl_lab.runs.places import data_file, run_file
 from pemirl_lab.runs.run_folder import RunFolder, say
 from pemirl_lab.runs.settings import Settings
-from pemirl_trl import Adaptation, ContextPolicy, DemonstrationDataset, PEMIRLModel
+from pemirl_trl import Adaptation, DemonstrationDataset, PEMIRLModel
 from pemirl_trl.configuration import CHECKED
 from pemirl_trl.files import load_weights, read_metadata, save_weights
 from pemirl_trl.methods import (
@@ -43,7 +45,9 @@ from pemirl_trl.methods import (
     initial_policy,
 )
 from pemirl_trl.methods.defaults import found_for_adaptation, table
+from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.loop import Method
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.pretrained import load_model
 
 
@@ -54,11 +58,18 @@ class Own:
     model_file: str
 
 
-def run(settings: Settings, own: Own) -> ContextPolicy:
+def run(settings: Settings, own: Own) -> Policy:
     """Adapt in the folder that the settings name."""
     folder = RunFolder.of(settings)
     model = load_model(folder.reads("model", run_file(own.model_file, "meta_train")))
-    return adapt(settings, folder, model)[0]
+    policy, _ = adapt(settings, folder, model)
+    demonstrations, maps = (
+        load_test_demonstrations(settings),
+        folder.file("figures/reward_maps.png"),
+    )
+    draw_known_maps(settings.test_environment, model, demonstrations, maps)
+    write_run_page(folder.path)
+    return policy
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -87,7 +98,11 @@ def run_own(task: OwnEnvironment) -> Adaptation:
 
     choose = "initial_policy" not in task.settings
     result = adapt_in_stages(
-        *(model, data, make_env, config, stage), seed=task.seed, choose_start=choose, settings=found
+        *(model, data, make_env, config, stage),
+        seed=task.seed,
+        choose_start=choose,
+        settings=found,
+        observation_keys=task.observation_keys,
     )
     file = folder.file("policy.safetensors")
     facts = {"environment": task.env, "env_steps": str(result.env_steps)}
@@ -96,6 +111,7 @@ def run_own(task: OwnEnvironment) -> Adaptation:
     record = {name: getattr(result, name) for name in (*told, "warnings")}
     folder.write_json("adaptation.json", record)
     say(f"{result}\n-> {file}")
+    write_run_page(folder.path)
     return result
 
 
@@ -107,7 +123,7 @@ def adapt(
     environment_name: str | None = None,
     stage: str = "adaptation",
     true_reward: bool = False,
-) -> tuple[ContextPolicy, int]:
+) -> tuple[Policy, int]:
     """Train a policy on the learned reward under the test environment's dynamics.
 
     Args:
@@ -133,6 +149,9 @@ def adapt(
     env = environment(name, count, transform, seed=settings.seed, threads=settings.threads)
     policy, activation = initial_policy(model, settings.adaptation)
     reward, keys, optimization = _objective(settings, model, name, true_reward)
+    diagnostics = None
+    if not true_reward:
+        diagnostics = Diagnostics(model, demonstrations.trajectories(), rollouts)
     method = PolicyOptimization(
         env,
         policy,
@@ -141,6 +160,7 @@ def adapt(
         rollouts_per_context=rollouts,
         reward=reward,
         task_keys=keys,
+        diagnostics=diagnostics,
     )
     folder.train(stage, method, show="return/true")
     file = folder.file("policy.safetensors" if stage == "adaptation" else f"{stage}.safetensors")
@@ -163,7 +183,7 @@ def _objective(
     return None, keys, dataclasses.replace(optimization, imitate_best=0.0)
 
 
-def load_adapted(file: Path, model: PEMIRLModel) -> tuple[ContextPolicy, int]:
+def load_adapted(file: Path, model: PEMIRLModel) -> tuple[Policy, int]:
     """The policy of a file that :func:`adapt` wrote, and the environment steps it took.
 
     Raises:

@@ -24,6 +24,8 @@ from pydantic.dataclasses import dataclass
 
 import pemirl_envs
 from pemirl_lab.measuring.rollouts import environment
+from pemirl_lab.pages.drawing import draw_known_maps
+from pemirl_lab.pages.run_page import write_run_page
 from pemirl_lab.public_code import PublicCodeInfoLoss
 from pemirl_lab.runs.own_task import OwnTask, load_make_env
 from pemirl_lab.runs.places import RunRefused, data_file
@@ -58,7 +60,13 @@ class Own:
 
 def run(settings: Settings, own: Own) -> PEMIRLModel:
     """Meta-train in the folder that the settings name."""
-    return meta_train(settings, RunFolder.of(settings))
+    folder = RunFolder.of(settings)
+    model = meta_train(settings, folder)
+    demonstrations = DemonstrationDataset.load(data_file(settings.demonstrations))
+    maps = folder.file("figures/reward_maps.png")
+    draw_known_maps(settings.environment, model, demonstrations, maps)
+    write_run_page(folder.path)
+    return model
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -83,13 +91,17 @@ def run_own(task: OwnEnvironment) -> PEMIRLModel:
         folder.train(name, method, show="meta_il/loss_imitation" if name == "meta-il" else LEARNED)
 
     model = meta_train_in_stages(
-        make_env, data, config, stage, seed=task.seed, task_space=task.task_space
+        *(make_env, data, config, stage),
+        seed=task.seed,
+        task_space=task.task_space,
+        observation_keys=task.observation_keys,
     )
     steps = config.contexts_per_batch * config.training.rollouts_per_context * data.horizon
     facts = {"method": task.preset, "env_steps": str(steps * config.training.iterations)}
     file = folder.file("model.safetensors")
     save_model(file, model, facts)
     say(f"meta-trained on {steps * config.training.iterations:,} environment steps -> {file}")
+    write_run_page(folder.path)
     return model
 
 

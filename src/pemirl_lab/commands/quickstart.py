@@ -20,6 +20,7 @@ from pemirl_lab.commands.adapt_reward import adapt
 from pemirl_lab.commands.evaluate import Own as Evaluation
 from pemirl_lab.commands.evaluate import evaluate
 from pemirl_lab.commands.meta_train import meta_train
+from pemirl_lab.pages.run_page import write_run_page
 from pemirl_lab.runs.run_folder import RunFolder, say
 from pemirl_lab.runs.settings import Settings
 from pemirl_trl.configuration import CHECKED
@@ -46,4 +47,5 @@ def run(settings: Settings, own: Own) -> None:
         adaptation_run=settings.run_dir,
     )
     evaluate(settings, evaluation, folder)
+    write_run_page(folder.path)
     say(f"all of it took {(time.perf_counter() - start) / 60:.1f} minutes")

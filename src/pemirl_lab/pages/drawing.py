@@ -14,6 +14,15 @@ from pemirl_trl import DemonstrationDataset, PEMIRLModel
 from pemirl_trl.evaluation import distance_to_goal, position_grid, reward_on_grid
 
 
+def draw_known_maps(
+    environment: str, model: PEMIRLModel, demonstrations: DemonstrationDataset, path: Path
+) -> None:
+    """Reward maps, where r is a function of a position and the true tasks are known; else none."""
+    planar = pemirl_envs.get_task(environment).planar and model.config.reward == "shaped"
+    if planar and demonstrations.task is not None:
+        draw_reward_maps(environment, model, demonstrations, path)
+
+
 @torch.no_grad()
 def draw_reward_maps(
     environment: str, model: PEMIRLModel, demonstrations: DemonstrationDataset, path: Path

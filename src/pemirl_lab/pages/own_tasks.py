@@ -37,7 +37,8 @@ def _table(folder: Path) -> str:
     if not runs:
         raise ValueError(f"{folder} holds no results seed*.json")
     heading = ["seed", "gap closed", *COLUMNS.values(), "minutes"]
-    return markdown_table(heading, [*map(_line, runs), _summary(runs)])
+    mean = [_summary(runs)] if len(runs) > 1 else []  # of one seed there is no interval
+    return markdown_table(heading, [*map(_line, runs), *mean])
 
 
 def _line(run: dict[str, Any]) -> list[str]:

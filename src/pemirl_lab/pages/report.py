@@ -30,6 +30,8 @@ from pemirl_lab.pages.benchmark_tables import benchmark_parts
 from pemirl_lab.pages.comparison import interval_plot, stage_curves
 from pemirl_lab.pages.convergence import Stage, convergence_table
 from pemirl_lab.pages.figures import save_figure
+from pemirl_lab.pages.gap import gap_table
+from pemirl_lab.pages.health_tables import health_parts
 from pemirl_lab.pages.own_tasks import own_task_parts
 from pemirl_lab.pages.tables import (
     Column,
@@ -128,6 +130,7 @@ KINDS: Mapping[str, Callable[..., str | Drawing | None]] = {
     "returns": returns_table,
     "seeds": seeds_table,
     "improvement": improvement_table,
+    "gap": gap_table,
     "reward": reward_table,
     "cost": cost_table,
     "convergence": _convergence,
@@ -162,6 +165,8 @@ def generate(root: Path) -> Pages:
         pages.parts.setdefault(page, {}).update(benchmark_parts(root / "results/benchmarks", names))
     for page, names in values.get("own_tasks", {}).items():
         pages.parts.setdefault(page, {}).update(own_task_parts(root / "results/own_tasks", names))
+    for page, names in values.get("health", {}).items():
+        pages.parts.setdefault(page, {}).update(health_parts(root / "results/health", names))
     return pages
 
 

@@ -15,6 +15,7 @@ import yaml
 from filelock import FileLock, Timeout
 from torchrl.record.loggers import Logger, get_logger
 from tqdm import tqdm
+from tqdm.contrib.logging import logging_redirect_tqdm
 
 from pemirl_lab.results import environment_facts
 from pemirl_lab.runs.metrics import forget_from
@@ -23,6 +24,7 @@ from pemirl_lab.runs.settings import Settings
 from pemirl_trl.checkpoint import TrainingCheckpoint
 from pemirl_trl.files import atomic_path, file_digest
 from pemirl_trl.methods import train
+from pemirl_trl.methods.health_log import HealthLog
 from pemirl_trl.methods.loop import Method, Metrics
 
 FREE = ("threads", "logger", "checkpoint_every")
@@ -157,6 +159,9 @@ class RunFolder:
     def train(self, stage: str, method: Method, show: str) -> list[tuple[int, float]]:
         """Train with checkpoints, logged metrics and a progress bar.
 
+        Signs of failure are said above the bar when they begin and when they end, and all of them
+        once more at the end.
+
         Args:
             stage: names the bar, the metrics and the checkpoints.
             method: what to train.
@@ -171,6 +176,7 @@ class RunFolder:
             self.path / "checkpoints" / stage, identity=f"{stage} of {self._identity}"
         )
         every = min(self.checkpoint_every, method.iterations)
+        health = _health_log(self.path, stage)
         bar = tqdm(total=method.iterations, desc=f"{stage:<14}", unit="it", file=sys.stderr)
         start, steps_at_start = time.perf_counter(), None
 
@@ -191,13 +197,17 @@ class RunFolder:
             if self._logger is not None:
                 for name, value in metrics.items():
                     self._logger.log_scalar(f"{stage}/{name}", value, step=iteration)
+            health(iteration, metrics)
             self.standing = f"{stage} has done {iteration} of {method.iterations} iterations"
             if iteration % every == 0 or iteration == method.iterations:
                 self.write_json(f"curves/{stage}.json", curve)
+                health.save()
                 record_seconds()
 
-        with self.timed(stage) as record_seconds, bar:
+        with self.timed(stage) as record_seconds, bar, logging_redirect_tqdm():
             train(method, checkpoint=checkpoint, checkpoint_every=every, on_iteration=report)
+        if health.health.iteration:
+            say(f"{stage}: {health.health.summary()}")
         return curve
 
 
@@ -212,6 +222,13 @@ def _lock(folder: Path) -> FileLock:
             f"another process is at work in {folder}: wait for it, or give another run_dir"
         ) from None
     return lock
+
+
+def _health_log(run: Path, stage: str) -> HealthLog:
+    try:
+        return HealthLog(stage, run / "health" / f"{stage}.json")
+    except ValueError as error:
+        raise RunRefused(str(error)) from error
 
 
 def say(text: str) -> None:

@@ -7,6 +7,7 @@ from pemirl_trl.methods.averaging import AveragedReward
 from pemirl_trl.methods.best_trajectories import BestTrajectories
 from pemirl_trl.methods.collection import EpisodeCollector
 from pemirl_trl.methods.defaults import PRESETS, adaptation_config, meta_training_config
+from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.discriminator_batches import BatchConfig, DiscriminatorBatches
 from pemirl_trl.methods.environments import MakeEnv, wrap_gymnasium
 from pemirl_trl.methods.inference import Inference, infer
@@ -34,6 +35,7 @@ __all__ = [
     "AveragedReward",
     "BatchConfig",
     "BestTrajectories",
+    "Diagnostics",
     "DiscriminatorBatches",
     "EpisodeCollector",
     "Inference",

@@ -20,10 +20,12 @@ from pemirl_trl.configuration import CHECKED, Count, NonNegative, Positive, Shar
 from pemirl_trl.data import Negatives
 from pemirl_trl.functional import PolicyReward, policy_reward
 from pemirl_trl.methods.collection import EpisodeCollector
+from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.discriminator_batches import BatchConfig, DiscriminatorBatches
 from pemirl_trl.methods.schedule import AnnealedScale, log_linear
 from pemirl_trl.methods.trpo import TRPO, TRPOConfig
 from pemirl_trl.modules import PEMIRLModel, ShapedReward
+from pemirl_trl.modules.reading import acted_steps
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -34,7 +36,8 @@ class PolicyConfig:
         trpo: of one update.
         imitation_coeff: weight of the demonstrations' log-likelihood per step, in nats; 0 is off.
         final_imitation_coeff: to which that weight grows; None holds it.
-        final_scale: to which the policy's deviation shrinks; None leaves it to the policy.
+        final_scale: to which the policy's deviation shrinks (of discrete actions, the uniform
+            share); None leaves it to the policy.
         anneal_begin, anneal_finish: shares of the iterations between which weight and deviation
             move, log-linearly. An extension of the paper: the reward is learned against an
             exploring policy, and the policy that is kept acts precisely.
@@ -106,6 +109,7 @@ class AdaptiveSampler:
         stretch = (config.policy.anneal_begin, config.policy.anneal_finish)
         self._scale = AnnealedScale(self.policy.log_scale, config.policy.final_scale, *stretch)
         self._update = TRPO(self.policy, config.policy.trpo, config.rollouts_per_context)
+        self._diagnostics = Diagnostics(model, demonstrations, config.rollouts_per_context)
 
     @property
     def env_steps(self) -> int:
@@ -142,6 +146,7 @@ class AdaptiveSampler:
 
         The imitation term is inside the trust region.
         """
+        health = self._diagnostics(rollouts, reward)
         metrics = self._update(
             rollouts.copy().set(("next", "reward"), reward), self.imitation_loss(rollouts)
         )
@@ -149,7 +154,7 @@ class AdaptiveSampler:
             "return/learned": float(reward.sum(1).mean()),
             "reward/magnitude": float(reward.abs().mean()),
         }
-        return {**learned, **metrics}
+        return {**learned, **health, **metrics}
 
     def imitation_loss(self, rollouts: TensorDictBase) -> Callable[[], Tensor] | None:
         """() -> minus the weighted log-likelihood of the rollouts' demonstrations.
@@ -166,6 +171,9 @@ class AdaptiveSampler:
             first.shape,
         ).reshape(-1)
         action = demonstrations["action"].flatten(0, 1)
+        acted = acted_steps(demonstrations)
+        if acted is not None:
+            batch, action = batch[acted.flatten()], action[acted.flatten()]
 
         def loss() -> Tensor:
             log_prob = self.policy.get_dist(batch.copy()).log_prob(action)

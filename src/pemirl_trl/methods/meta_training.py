@@ -56,7 +56,8 @@ class MethodConfig:
         contexts_per_batch: M, contexts per iteration (the paper's code: 50).
         initial_encoder: where q_psi starts (the paper: Meta-IL's).
         initial_policy: where pi_omega starts (the paper: fresh).
-        learn_policy_scale: whether the policy's deviation is learned, or held (and annealed).
+        learn_policy_scale: whether the policy's deviation is learned, or held (and annealed). The
+            uniform share of a policy of discrete actions never is.
         reward_average_decay: of an average of r's weights, per iteration; None is off.
         reward_reads: what of an observation r reads: all of it (the paper), or the components that
             the task is about, where somebody names them.
@@ -80,6 +81,9 @@ class MethodConfig:
                 f"algorithm {self.algorithm!r} takes a training of {expected.__name__}, got "
                 f"{type(self.training).__name__}"
             )
+        self.model.check_scale("final_scale", self.training.policy.final_scale)
+        if self.learn_policy_scale and self.model.actions == "discrete":
+            raise ValueError("learn_policy_scale is true; a policy of discrete actions learns none")
         if self.model.context_dim == 0:
             for name in ("initial_encoder", "initial_policy"):
                 if getattr(self, name) == "meta_il":
@@ -136,7 +140,8 @@ def new_model(
         sizes: fields of :class:`ModelConfig` to replace.
 
     Raises:
-        ValueError: r is to read the task space, and nobody said what that is.
+        ValueError: r is to read the task space, and nobody said what that is; or the model is to
+            know absorbing states, and the demonstrations have none.
     """
     if config.reward_reads == "task_space" and config.model.reward == "shaped":
         if task_space is None:
@@ -145,13 +150,24 @@ def new_model(
                 "observation the task is about (task_space), or choose reward_reads='observation'"
             )
         sizes = {"reward_features": list(task_space), **sizes}
+    if config.model.absorbing and not demonstrations.absorbing:
+        raise ValueError(
+            "a model of absorbing states (model.absorbing) needs demonstrations with such, "
+            "demonstrations.with_absorbing_states(); meta_train on an environment of one's own "
+            "does that"
+        )
     return PEMIRLModel(
         demonstrations.observation_dim,
         demonstrations.action_dim,
         demonstrations.horizon,
-        dataclasses.replace(config.model, **sizes),
-        Standardize.fit(demonstrations.trajectories()["observation"]),
+        dataclasses.replace(config.model, absorbing=demonstrations.absorbing, **sizes),
+        _map_of_observations(demonstrations.trajectories()),
     )
+
+
+def _map_of_observations(trajectories: TensorDictBase) -> Standardize:
+    observation, mask = trajectories["observation"], trajectories.get("mask", None)
+    return Standardize.fit(observation if mask is None else observation[mask])
 
 
 def start_from(model: PEMIRLModel, meta_il: PEMIRLModel | None, config: MethodConfig) -> None:

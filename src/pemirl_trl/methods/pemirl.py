@@ -10,6 +10,7 @@ import torch
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 from tensordict import TensorDictBase
+from torch import Tensor
 from torch.optim import Adam
 from torchrl.envs import EnvBase
 
@@ -22,6 +23,8 @@ from pemirl_trl.modules import AIRLDiscriminator, PEMIRLModel
 from pemirl_trl.objectives import DiscriminatorLoss, InfoLoss
 from pemirl_trl.objectives.info import Form, Summand
 from pemirl_trl.optim import descend
+
+INFORMING = ("observation", "action", ("next", "observation"), "context", "demonstration")
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -205,29 +208,33 @@ class PEMIRL:
 
     def _update_encoder_and_reward(self, rollouts: TensorDictBase) -> dict[str, float]:
         c = self.config
-        for _ in range(c.reward_steps):
-            info = self._info_loss(self._some_contexts(rollouts))
+        # With a rate of 0 psi stays where it is, and with a weight of 0 theta does not hear of it.
+        moves_psi, informs_theta = c.encoder_lr > 0, c.info_coeff > 0
+        for step in range(1, c.reward_steps + 1):
+            rows = self._rows_of_some_contexts(rollouts)
+            if moves_psi or informs_theta or step == c.reward_steps:  # the last one for the metrics
+                with torch.set_grad_enabled(moves_psi or informs_theta):
+                    info = self._info_loss(rollouts.select(*INFORMING)[rows])
             classification = self._discriminator_loss(self.sampler.discriminator_batch())
             # Both losses are computed before either step: psi and theta move simultaneously.
-            psi_loss = info["loss_info_encoder"]
             theta_loss = classification["loss_discriminator"]
-            if c.encoder_gradient:
-                psi_loss = psi_loss + theta_loss
-            theta_loss = theta_loss + c.info_coeff * info["loss_info_reward"]
+            if moves_psi:
+                psi_loss = info["loss_info_encoder"] + (theta_loss if c.encoder_gradient else 0.0)
+            if informs_theta:
+                theta_loss = theta_loss + c.info_coeff * info["loss_info_reward"]
             if c.gradient_penalty_coeff > 0:
                 theta_loss = theta_loss + classification["loss_gradient_penalty"]
-            descend(self._encoder_optimizer, psi_loss, retain_graph=c.encoder_gradient)
+            if moves_psi:
+                descend(self._encoder_optimizer, psi_loss, retain_graph=c.encoder_gradient)
             descend(self._reward_optimizer, theta_loss)
         losses = {**info, **classification}
         return {f"reward/{name}": float(value.detach()) for name, value in losses.items()}
 
-    def _some_contexts(self, rollouts: TensorDictBase) -> TensorDictBase:
+    def _rows_of_some_contexts(self, rollouts: TensorDictBase) -> Tensor:
         k = self.config.rollouts_per_context
         count = rollouts.shape[0] // k
         chosen = torch.randperm(count)[: self.config.info_contexts]
-        rows = (chosen.unsqueeze(-1) * k + torch.arange(k)).reshape(-1)
-        keys = ("observation", "action", ("next", "observation"), "context", "demonstration")
-        return rollouts.select(*keys)[rows]
+        return (chosen.unsqueeze(-1) * k + torch.arange(k)).reshape(-1)
 
     def components(self) -> dict[str, Any]:
         """What a checkpoint holds."""

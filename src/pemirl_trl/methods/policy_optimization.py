@@ -15,10 +15,11 @@ from torchrl.envs import EnvBase
 from pemirl_trl.configuration import CHECKED, Count, NonNegative, Positive, Share
 from pemirl_trl.methods.best_trajectories import BestTrajectories
 from pemirl_trl.methods.collection import EpisodeCollector
+from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.observation_statistics import ObservationStatistics
 from pemirl_trl.methods.schedule import AnnealedScale
 from pemirl_trl.methods.trpo import TRPO, TRPOConfig
-from pemirl_trl.modules import ContextPolicy
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.transforms import LearnedReward
 
 
@@ -30,7 +31,7 @@ class PolicyOptimizationConfig:
         iterations: policy steps.
         trpo: of one step.
         final_scale: if given, the deviation is not learned but forced, log-linearly from the
-            policy's initial one to this.
+            policy's initial one to this; so is the uniform share of discrete actions.
         anneal_begin, anneal_finish: shares of the iterations between which it moves.
         imitate_best: weight, beside standardised advantages, of the squared error to the actions of
             the best trajectory that any task's policy has found for each task; needs a reward that
@@ -76,6 +77,7 @@ class PolicyOptimization:
         reward: writes ``learned_reward``; None trains on the environment's own.
         task_keys: what distinguishes tasks, for ``imitate_best``: what reward and policy read
             beside observations and actions.
+        diagnostics: measure each iteration's rollouts, for :class:`pemirl_trl.Health`.
 
     Raises:
         ValueError: ``imitate_best`` without a reward: the environment's own is known only for the
@@ -85,15 +87,16 @@ class PolicyOptimization:
     def __init__(
         self,
         env: EnvBase,
-        policy: ContextPolicy,
+        policy: Policy,
         horizon: int,
         config: PolicyOptimizationConfig,
         *,
         rollouts_per_context: int,
         reward: TensorDictModuleBase | None = None,
         task_keys: Sequence[NestedKey] = ("context",),
+        diagnostics: Diagnostics | None = None,
     ) -> None:
-        self.config, self.policy = config, policy
+        self.config, self.policy, self._diagnostics = config, policy, diagnostics
         self.iterations = config.iterations
         self._collect = EpisodeCollector(env, policy, horizon)
         stretch = (config.anneal_begin, config.anneal_finish)
@@ -102,7 +105,7 @@ class PolicyOptimization:
         self._learned = None if reward is None else LearnedReward(reward)
         self._statistics: ObservationStatistics | None = None
         if config.standardize_observations:
-            self._statistics = ObservationStatistics(policy.gaussian.standardize)
+            self._statistics = ObservationStatistics(policy.standardize)
         self._best: BestTrajectories | None = None
         if config.imitate_best > 0:
             if reward is None:
@@ -126,6 +129,8 @@ class PolicyOptimization:
         if self._learned is not None:
             self._learned(rollouts)
             metrics["return/learned"] = float(rollouts["next", "reward"].sum(1).mean())
+        if self._diagnostics is not None:
+            metrics |= self._diagnostics(rollouts, rollouts["next", "reward"])
         imitation = None
         if self._best is not None:
             metrics |= self._best.update(rollouts)

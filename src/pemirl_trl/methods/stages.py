@@ -7,7 +7,11 @@ from pathlib import Path
 from typing import Protocol
 
 from pemirl_trl.checkpoint import TrainingCheckpoint
+from pemirl_trl.methods.health_log import LOG, HealthLog
 from pemirl_trl.methods.loop import Method, Metrics, train
+
+CHECKPOINT_EVERY = 25
+"""Iterations between checkpoints."""
 
 OnIteration = Callable[[str, int, Metrics], None]
 """(stage, iteration from 1, its metrics)."""
@@ -25,6 +29,9 @@ def stages(
 ) -> RunStage:
     """Run stages in this process, with a folder of checkpoints for each below ``checkpoint``.
 
+    Signs of failure are logged when they begin and end (logger ``pemirl_trl.health``, level
+    ``WARNING``), and all of them again when a stage is done (``INFO``).
+
     Args:
         on_iteration: called after each iteration.
         checkpoint: folder; the same call resumes from what is there. None keeps none.
@@ -32,15 +39,21 @@ def stages(
     """
 
     def run(stage: str, method: Method, /) -> None:
-        report = None
-        if on_iteration is not None:
+        folder = None if checkpoint is None else Path(checkpoint) / stage
+        health = HealthLog(stage, None if folder is None else folder / "health.json")
 
-            def report(iteration: int, metrics: Metrics) -> None:
+        def report(iteration: int, metrics: Metrics) -> None:
+            health(iteration, metrics)
+            if iteration % CHECKPOINT_EVERY == 0 or iteration == method.iterations:
+                health.save()
+            if on_iteration is not None:
                 on_iteration(stage, iteration, metrics)
 
         kept = None
-        if checkpoint is not None:
-            kept = TrainingCheckpoint(Path(checkpoint) / stage, f"{stage} of {identity}")
-        train(method, checkpoint=kept, on_iteration=report)
+        if folder is not None:
+            kept = TrainingCheckpoint(folder, f"{stage} of {identity}")
+        train(method, checkpoint=kept, checkpoint_every=CHECKPOINT_EVERY, on_iteration=report)
+        if health.health.iteration:  # else there was nothing left to do
+            LOG.info("%s: %s", stage, health.health.summary())
 
     return run

@@ -15,6 +15,11 @@ from pemirl_trl.modules import AIRLDiscriminator, GAILDiscriminator, ShapedRewar
 from pemirl_trl.modules.reading import DISCRIMINATOR
 from pemirl_trl.objectives.common import KeyedLoss
 
+METRICS = (
+    *("accuracy", "accuracy_expert", "accuracy_policy"),
+    *("logit_expert_mean", "logit_policy_mean", "loss_expert", "loss_policy"),
+)
+
 
 class DiscriminatorLoss(KeyedLoss):
     r"""Cross-entropy of D over expert and policy transitions, for the discriminator's parameters.
@@ -29,7 +34,7 @@ class DiscriminatorLoss(KeyedLoss):
     Converge?", arXiv:1801.04406, on r alone, the gradient taken in standardised observations. It
     is an extension of the paper and present only where c > 0.
 
-    Metrics (detached): ``accuracy``, ``logit_expert_mean``, ``logit_policy_mean``.
+    Metrics (detached): ``accuracy``, of all and of each side, and each side's mean logit and loss.
 
     The keys are those of the discriminator unless ``set_keys`` says otherwise.
 
@@ -61,7 +66,8 @@ class DiscriminatorLoss(KeyedLoss):
         ...     [4],
         ... )
         >>> sorted(loss(batch).keys())
-        ['accuracy', 'logit_expert_mean', 'logit_policy_mean', 'loss_discriminator']
+        ['accuracy', 'accuracy_expert', 'accuracy_policy', 'logit_expert_mean', \
+'logit_policy_mean', 'loss_discriminator', 'loss_expert', 'loss_policy']
     """
 
     @dataclass
@@ -98,8 +104,7 @@ class DiscriminatorLoss(KeyedLoss):
         self.gradient_penalty_coeff = gradient_penalty_coeff
         self.reduction = reduction
         penalty = ["loss_gradient_penalty"] if gradient_penalty_coeff > 0 else []
-        metrics = ["accuracy", "logit_expert_mean", "logit_policy_mean"]
-        self.out_keys = ["loss_discriminator", *penalty, *metrics]
+        self.out_keys = ["loss_discriminator", *penalty, *METRICS]
         self.set_keys(**discriminator.role_keys)
 
     def _input_keys(self) -> list[NestedKey]:
@@ -158,8 +163,12 @@ def _mean_where(values: Tensor, mask: Tensor) -> Tensor:
 
 
 def _metrics(logit: Tensor, is_expert: Tensor) -> dict[str, Tensor]:
+    right = ((logit > 0) == is_expert).to(logit.dtype)
+    loss = binary_classification_loss(logit, is_expert)
+    sides = {"expert": is_expert, "policy": ~is_expert}
     return {
-        "accuracy": ((logit > 0) == is_expert).to(logit.dtype).mean(),
-        "logit_expert_mean": _mean_where(logit, is_expert),
-        "logit_policy_mean": _mean_where(logit, ~is_expert),
+        "accuracy": right.mean(),
+        **{f"accuracy_{side}": _mean_where(right, mask) for side, mask in sides.items()},
+        **{f"logit_{side}_mean": _mean_where(logit, mask) for side, mask in sides.items()},
+        **{f"loss_{side}": _mean_where(loss, mask) for side, mask in sides.items()},
     }
