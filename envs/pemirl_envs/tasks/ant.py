@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import MappingProxyType
 from typing import Literal
 
@@ -25,7 +25,8 @@ from pemirl_envs.tasks.quantities import Component, component_slice
 
 _XML = pathlib.Path(__file__).with_suffix(".xml")
 
-_DISABLED_LEGS = (3, 4)  # the front ones: the eyes are on their side
+_LEGS = (1, 2, 3, 4)
+_FRONT_LEGS = (3, 4)  # the eyes are on their side
 _DISABLED_LENGTH = 0.5  # of a disabled thigh and shin, relative to a healthy one
 _DISABLED_GEAR = 1.0  # N m; healthy motors have 30
 _CONTROL_COST = 0.01
@@ -33,7 +34,7 @@ _UPSIDE_DOWN_COST = 1.0
 _POSITION_OFFSET = 0.1  # m, rad; half-width of the uniform initial offset of each coordinate
 _VELOCITY_STD = 0.1  # m/s, rad/s
 
-_DIRECTIONS = ((1.0,), (-1.0,))  # forward, backward
+_FORWARD, _BACKWARD = 1.0, -1.0
 _POSITIONS, _VELOCITIES = 13, 14  # how many of each an observation holds
 
 
@@ -62,9 +63,13 @@ class Ant(Task):
     Splits: ``train``, ``validation`` and ``test`` are the same two directions; there are no others.
 
     Args:
-        disabled: halve the thighs and shins of the two front legs, and weaken their motors to a
-            thirtieth. The motors keep their order, so that a policy can be carried over.
+        disabled: legs (1 to 4) whose thighs and shins are half as long, and whose motors have a
+            thirtieth of their strength; True: the two front ones. The motors keep their order, so
+            that a policy can be carried over.
         integrator: MuJoCo's. ``RK4`` is that of the original, at under a third of the speed.
+
+    Raises:
+        ValueError: there is no such leg.
     """
 
     horizon = 500
@@ -76,11 +81,17 @@ class Ant(Task):
     splits = ("train", "validation", "test")
 
     def __init__(
-        self, *, disabled: bool = False, integrator: Literal["Euler", "RK4"] = "Euler"
+        self,
+        *,
+        disabled: bool | Sequence[int] = False,
+        integrator: Literal["Euler", "RK4"] = "Euler",
     ) -> None:
-        self._disabled = disabled
+        legs = _FRONT_LEGS if disabled is True else disabled or ()
+        if unknown := sorted(set(legs) - set(_LEGS)):
+            raise ValueError(f"there is no leg {unknown}; legs are {list(_LEGS)}")
+        self._disabled_legs = tuple(legs)
         self._integrator = integrator
-        forward, backward = torch.tensor(_DIRECTIONS)
+        forward, backward = self.task_set("train")["direction"]
         self.parameter_bounds = {"direction": (backward, forward)}
 
     def build_spec(self) -> mujoco.MjSpec:
@@ -88,22 +99,21 @@ class Ant(Task):
         spec = mujoco.MjSpec.from_file(str(_XML))
         if self._integrator == "RK4":
             spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-        if self._disabled:
-            for leg in _DISABLED_LEGS:
-                disable(spec, leg)
+        for leg in self._disabled_legs:
+            _disable(spec, leg)
         return spec
 
     def task_set(self, split: str) -> dict[str, Tensor]:
         """Both directions, forward first, float32 ``[2, 1]``: every split is this set."""
         if split not in self.splits:
             raise ValueError(f"{split!r} is not a finite split; expected one of {self.splits}")
-        return {"direction": torch.tensor(_DIRECTIONS)}
+        return {"direction": torch.tensor([[_FORWARD], [_BACKWARD]], dtype=torch.float32)}
 
     def sample_parameters(self, n: int, split: str, generator: Generator) -> dict[str, Tensor]:
         """Draws ``n`` directions, float32 ``[N, 1]``, each with probability 1/2."""
         if split not in self.splits:
             raise ValueError(f"unknown split {split!r}; expected one of {self.splits}")
-        directions = torch.tensor(_DIRECTIONS)
+        directions = self.task_set(split)["direction"]
         return {"direction": directions[torch.randint(2, (n,), generator=generator)]}
 
     def validate_parameters(
@@ -172,7 +182,7 @@ def upright(qpos: Tensor) -> Tensor:
     return 1 - 2 * qpos[:, 4:6].square().sum(-1)
 
 
-def disable(spec: mujoco.MjSpec, leg: int) -> None:
+def _disable(spec: mujoco.MjSpec, leg: int) -> None:
     """Shortens thigh and shin of one leg, weakens its motors, and colours it."""
     for part in ("thigh", "shin"):
         spec.geom(f"{part}_{leg}").fromto *= _DISABLED_LENGTH
@@ -186,6 +196,9 @@ def disable(spec: mujoco.MjSpec, leg: int) -> None:
 VARIANTS: dict[str, Callable[[], Ant]] = {
     "normal": Ant,
     "disabled": functools.partial(Ant, disabled=True),
+    "disabled_left": functools.partial(Ant, disabled=(2, 3)),
+    "disabled_diagonal": functools.partial(Ant, disabled=(1, 3)),
+    "disabled_one": functools.partial(Ant, disabled=(2,)),
     "normal_rk4": functools.partial(Ant, integrator="RK4"),
     "disabled_rk4": functools.partial(Ant, disabled=True, integrator="RK4"),
 }
