@@ -44,6 +44,7 @@ from pemirl_trl.evaluation.statistics import (
     spearman,
     t_interval,
 )
+from pemirl_trl.evaluation.task_space import held_out_information
 
 __all__ = [
     "Actor",
@@ -59,6 +60,7 @@ __all__ = [
     "episode_returns",
     "evaluate_reward",
     "feasible_distance",
+    "held_out_information",
     "independent_samples",
     "iqm",
     "iqm_interval",
