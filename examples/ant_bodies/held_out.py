@@ -1,6 +1,6 @@
 """How many bodies must have demonstrated, before the reward's components can be told from them?
 
-    python examples/ant_bodies/run.py 0 1 2
+    python examples/ant_bodies/held_out.py 0 1 2
 
 Demonstrations of ants with one to eight bodies, none of them that of ``ant/disabled``. For every
 component of an observation: what it says about the direction by itself in the bodies that it was
