@@ -17,6 +17,7 @@ HEADLESS = {"MUJOCO_GL": "osmesa" if find_library("OSMesa") else "disable"} | {
 }
 # glibc hands large freed blocks back to the kernel, which then clears them anew for each batch.
 KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": "2000000000", "MALLOC_MMAP_THRESHOLD_": "2000000000"}
+ZOO = ("point_maze", "pendulum", "sweeper", "sawyer_pusher", "ant")
 STEPPED = ("point_maze/left", "ant/normal", "sweeper/normal", "sawyer_pusher/normal")
 DETERMINISTIC = HEADLESS | {"CUDA_VISIBLE_DEVICES": ""}
 
@@ -29,6 +30,11 @@ batch = pemirl_envs.make("point_maze/left", num_envs=4).rollout(3)
 assert batch.shape == (4, 3), batch.shape
 environment = pemirl_envs.load("point_maze", "left")
 assert environment.reset().first()
+model = pemirl_trl.load_model("point_maze")
+assert (model.observation_dim, model.action_dim, model.horizon) == (2, 2, 100)
+assert pemirl_trl.load_card("point_maze").licence == "MIT"
+reward = pemirl_trl.load_reward("point_maze")
+assert reward([[0.3, 0.5]] * 4, [0.0, 0.0, 0.0]).shape == (4, 1)
 print("pemirl-trl", pemirl_trl.__version__, "works outside its checkout")
 """
 
@@ -43,6 +49,19 @@ def tests(session: nox.Session) -> None:
     """Run the fast tests."""
     install(session, "-e", ".[test]")
     session.run("pytest", *session.posargs, env=DETERMINISTIC)
+
+
+@nox.session
+def newest(session: nox.Session) -> None:
+    """Run the fast tests with the newest versions that the ranges allow; arguments install others.
+
+    ``nox -s newest -- "mujoco>=4"`` tries what lies beyond a range.
+    """
+    session.install("--upgrade", "--upgrade-strategy", "eager", "-e", ".[test]")
+    if session.posargs:
+        session.run("pip", "install", "--upgrade", *session.posargs)
+    session.run("pip", "list")
+    session.run("pytest", env=DETERMINISTIC)
 
 
 @nox.session
@@ -89,10 +108,46 @@ def types(session: nox.Session) -> None:
 
 
 @nox.session
+def docs(session: nox.Session) -> None:
+    """Build the site into docs/_build/html, and run the examples on pages and in docstrings.
+
+    A warning is an error: a dead link inside, an equation or a docstring that cannot be read, a
+    public name without an entry, a notebook that raises. ``-- linkcheck`` asks the network for the
+    links to elsewhere, too; continuous integration does not, so that it passes without one.
+    """
+    install(session, "-e", ".[docs,test]")  # the pages' examples use what the tests do
+    strict = ("-W", "--keep-going", "-c", "docs", ".")
+    if "linkcheck" in session.posargs:
+        session.run("sphinx-build", "-b", "linkcheck", *strict, "docs/_build/links", env=HEADLESS)
+        return
+    session.run("sphinx-build", "-b", "html", *strict, "docs/_build/html", env=DETERMINISTIC)
+    session.run(
+        "pytest", "src", "envs", "tests/test_docs.py", "tests/test_readme.py", env=DETERMINISTIC
+    )
+
+
+@nox.session
 def quickstart(session: nox.Session) -> None:
     """Run the quickstart as a user does; arguments are overrides, as of `pemirl quickstart`."""
     install(session, "-e", ".")
     session.run("pemirl", "quickstart", *session.posargs, env=HEADLESS | KEEP_MEMORY)
+
+
+@nox.session
+def zoo(session: nox.Session) -> None:
+    """Train the models of zoo/ anew, with their cards; arguments are names (all: about an hour)."""
+    install(session, "-e", ".")
+    env = HEADLESS | KEEP_MEMORY
+    for name in session.posargs or ZOO:
+        file = f"zoo/{name}.safetensors"
+        if name == "pendulum":
+            session.run("python", "examples/own_pendulum/zoo.py", file, env=env)
+            continue
+        run = f"runs/zoo/{name}"
+        session.run("pemirl", "quickstart", f"experiment={name}", f"run_dir={run}", env=env)
+        card = ("licence=MIT", f"command=nox -s zoo -- {name}")
+        model = f"model_file={run}/model.safetensors"
+        session.run("pemirl", "export_model", model, f"to={file}", *card, env=env)
 
 
 @nox.session
@@ -123,4 +178,6 @@ def build(session: nox.Session) -> None:
         install(session, *map(str, Path(outside).glob("*.whl")))
         session.chdir(outside)
         session.run("python", "-c", SMOKE, env=DETERMINISTIC)
+        one = ("demonstration=data/point_maze_test.safetensors", "index=0")
+        session.run("pemirl", "infer", "model_file=point_maze", *one, env=DETERMINISTIC)
         session.run("pemirl", "quickstart", "preset=smoke", env=DETERMINISTIC)

@@ -70,9 +70,9 @@ CASES = {
         ("posterior collapsed",),
     ),
     "ant_meta_il": Case("Ant, Meta-IL", ("experiment=ant",), "meta-il"),
-    "ant_pemirl": Case(
-        "Ant, `method=pemirl`, 15 iterations",
-        ("task=ant", "~experiment", "method=pemirl", "training.iterations=15"),
+    "ant_rescaled": Case(
+        "Ant, `method=pemirl_rescaled`, 15 iterations",
+        ("task=ant", "~experiment", "method=pemirl_rescaled", "training.iterations=15"),
         expected=("discriminator behind",),
     ),
     "point_maze_entropy": Case(
@@ -103,7 +103,10 @@ CASES = {
     ),
     "point_maze_line": Case(
         "Point-Maze, the trust region's curvature from five transitions",
-        (MAZE, "training.policy.trpo.fisher_rows=5", "training.iterations=20"),
+        (
+            *(MAZE, "training.policy.trpo.fisher_rows=5", "training.policy.trpo.damping=1e-4"),
+            *("training.policy.trpo.cg_iterations=50", "training.iterations=20"),
+        ),
         expected=("line search failing",),
     ),
     "point_maze_slow": Case(

@@ -113,14 +113,17 @@ def random_demonstrations(name: str, count: int) -> TensorDictBase:
 def untrained_model(name: str, method: str, experts: TensorDictBase) -> PEMIRLModel:
     """The networks of a method, for trajectories ``[J]`` of a task."""
     config = METHODS[method]
-    features = get_task(name).task_space_indices()
-    reads = {"reward_features": features} if config.reward_reads == "task_space" else {}
+    settings = config.model
+    if config.reward_reads == "task_space":
+        settings = dataclasses.replace(
+            settings, reward_features=get_task(name).task_space_indices()
+        )
     observation, action = experts["observation"], experts["action"]
     model = PEMIRLModel(
         observation.shape[-1],
         action.shape[-1],
         action.shape[1],
-        dataclasses.replace(config.model, **reads),
+        settings,
         Standardize.fit(observation),
     )
     model.policy.log_scale.requires_grad_(config.learn_policy_scale)
@@ -134,7 +137,10 @@ def meta_training(name: str, method: str, rollouts: int, num_threads: int) -> Ti
     model = untrained_model(name, method, experts)
     env = make(name, CONTEXTS * rollouts, seed=0, num_threads=num_threads)
     context = InferContext(model.encoder, experts, rollouts_per_context=rollouts, tasks=tasks)
-    config = dataclasses.replace(METHODS[method].training, rollouts_per_context=rollouts)
+    config = METHODS[method].training
+    if not isinstance(config, PEMIRLConfig):
+        raise ValueError(f"{method!r} is not measured; expected one of {TRAINED}")
+    config = dataclasses.replace(config, rollouts_per_context=rollouts)
     training = TimedPEMIRL(model, TransformedEnv(env, context), experts, config)
     training.iteration()
     return training

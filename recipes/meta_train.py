@@ -8,7 +8,7 @@
 
 With ``env=`` it is an environment of your own: the settings follow from the demonstrations, any of
 them can be given (``training.iterations=100``), and ``preset=`` is one of the library's (robust,
-contrastive with ``task_space=[0,1]``, paper, bounded).
+contrastive with ``task_space=[0,1]``, paper).
 
 Writes ``model.safetensors`` and, where the method has contexts, ``meta_il.safetensors`` (Meta-IL:
 a baseline, and what initialises the encoder) to ``run_dir``.

@@ -29,7 +29,10 @@ HISTORIES = {
     ),
     "context ignored": ({"context/in_reward": 0.8}, lambda d: {"context/in_reward": 0.02 - d}),
     "r exploding": ({"reward/magnitude": 2.0}, lambda d: {"reward/magnitude": 20.0 + d}),
-    "deviation runaway": ({"policy/scale": 0.6}, lambda d: {"policy/scale": 0.6 * (1.5 + d)}),
+    "deviation runaway": (
+        {"policy/learned_scale": 0.6},
+        lambda d: {"policy/learned_scale": 0.6 * (1.5 + d)},
+    ),
     "policy far below its best": (
         {"best/return": 100.0, "return/learned": 0.0},  # the way is 100; half of it is 50
         lambda d: {"best/return": 100.0, "return/learned": 100.0 * (0.5 - d)},

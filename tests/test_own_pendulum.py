@@ -34,6 +34,20 @@ def test_the_controller_holds_the_pendulum_and_a_reversed_motor_defeats_it(examp
         assert off < bound if bound is not None else off > 0.5
 
 
+def test_what_holds_the_pendulum_shakes_a_light_one(example):
+    task = example("pendulum")
+    speeds = {}
+    for knows in (task.LIGHT, task.MASS):
+        env = task.make_light(50, 0)
+        data = env.reset()
+        for _ in range(task.T):
+            action = task.controller(data["observation"], data["task", "target"], mass=knows)
+            data = env.step(data.set("action", action))["next"].exclude("reward")
+        speeds[knows] = data["observation"][:, 2].abs().median()
+    assert speeds[task.LIGHT] < 0.05
+    assert speeds[task.MASS] > 1.0
+
+
 def test_the_offset_is_the_angle_to_the_target(example):
     task = example("pendulum")
     angle, target = torch.tensor([[3.0], [0.5]]), torch.tensor([[-3.0], [0.2]])

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from pemirl_trl.files import read_weights, save_weights, write_tensors
-from pemirl_trl.modules import ModelConfig, PEMIRLModel, TrainingFamily
-from pemirl_trl.pretrained import load_model, save_model
+from pemirl_trl.modules import CategoricalPolicy, ModelConfig, PEMIRLModel, TrainingFamily
+from pemirl_trl.pretrained import load_model, save_model, zoo
 
 GOLDEN = Path(__file__).parent / "golden" / "file_version_1"
 SIZES = {"context_dim": 2, "encoder_hidden": (5,), "policy_hidden": (4,), "reward_hidden": (3,)}
@@ -115,6 +115,25 @@ def test_weights_of_something_else_are_refused(tmp_path):
         load_model(tmp_path / "w")
 
 
+# --- by name -----------------------------------------------------------------------------------
+
+
+def test_a_name_is_a_model_of_the_zoo_unless_a_file_has_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "point_maze").mkdir()  # a folder is no model
+    assert load_model("point_maze").horizon == 100
+    (tmp_path / "point_maze").rmdir()
+    save_model("point_maze", small())
+    assert load_model("point_maze").horizon == 4
+
+
+@pytest.mark.parametrize("name", ["pointmaze", "runs/no/model.safetensors"])
+def test_a_wrong_name_is_told_the_right_ones(name):
+    message = f"no file {name}, and no model of this name; there are .*{', '.join(zoo())}"
+    with pytest.raises(FileNotFoundError, match=message):
+        load_model(name)
+
+
 def with_family(path, change=lambda stated: stated):
     """A file of a model with a training family; what is stated of it is changed."""
     model = small()
@@ -157,3 +176,21 @@ def test_a_damaged_training_family_is_refused_by_name(tmp_path, change, message)
     with pytest.raises(ValueError, match=message) as raised:
         load_model(tmp_path / "model")
     assert str(tmp_path / "model") in str(raised.value)
+
+
+def test_a_model_of_discrete_actions_is_rebuilt_with_its_kind_of_policy(tmp_path):
+    model = PEMIRLModel(3, 4, 5, ModelConfig(**SIZES, actions="discrete", policy_scale=0.2))
+    save_model(tmp_path / "m.safetensors", model)
+    loaded = load_model(tmp_path / "m.safetensors")
+    assert loaded.config.actions == "discrete"
+    assert isinstance(loaded.policy, CategoricalPolicy)
+    for a, b in zip(model.state_dict().values(), loaded.state_dict().values(), strict=True):
+        assert torch.equal(a, b)
+
+
+@pytest.mark.parametrize("changed", [{"actions": "some"}, {"policy_scale": 2.0}])
+def test_a_kind_of_actions_that_is_none_is_refused(tmp_path, changed):
+    path = tmp_path / "m.safetensors"
+    save_with(path, config(**{"actions": "discrete", "policy_scale": 0.1, **changed}))
+    with pytest.raises(ValueError, match=f"(?s)m.safetensors is damaged: .*{next(iter(changed))}"):
+        load_model(path)

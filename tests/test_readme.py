@@ -25,3 +25,13 @@ def test_pages_are_what_the_results_files_give():
 def test_the_two_commands_are_there():
     for session in ("quickstart", "tests"):
         assert f"\npip install nox && nox -s {session}\n" in README
+
+
+def test_the_counts_of_damage_are_those_of_the_stored_campaign():
+    counts = (ROOT / "results/robustness.txt").read_text(encoding="utf-8")
+    kills = sum(map(int, re.findall(r": (\d+) kills, \d+ runs, all as the one", counts)))
+    files = sum(map(int, re.findall(r": tried (\d+), ", counts)))
+    tried, refused = re.findall(r"overrides: (\d+) tried, (\d+) refused by name", counts)[0]
+    assert tried == refused
+    told = f"({kills} kills, all runs identical; {files:,} files and {int(tried):,} values"
+    assert told in README

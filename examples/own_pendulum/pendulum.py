@@ -15,19 +15,21 @@ from pemirl_trl import DemonstrationDataset, Provenance
 T = 100  # steps of an episode, of DT each
 DT = 0.05  # s
 GRAVITY, LENGTH, MASS = 10.0, 1.0, 1.0  # m/s^2, m, kg
+LIGHT = 0.25  # kg: damping that halves a speed in a step at 1 kg now makes it larger than before
 MAX_TORQUE, MAX_SPEED = 8.0, 8.0  # N m, rad/s
 
 
 class Pendulum(EnvBase):
-    """Observes (cos, sin, angular velocity); motor=-1 reverses the torque.
+    """Observes (cos, sin, angular velocity); motor=-1 reverses the torque, mass is in kg.
 
     It may be reset to ("task", "target"), the cosine and sine of an angle; its reward, which no
     learner reads, is minus the squared angle to it and a tenth of the squared speed.
     """
 
-    def __init__(self, n: int, seed: int, motor: float = 1.0) -> None:
+    def __init__(self, n: int, seed: int, motor: float = 1.0, mass: float = MASS) -> None:
         super().__init__(batch_size=[n])
-        self.motor, self.generator = motor, torch.Generator().manual_seed(seed)
+        self.motor, self.mass = motor, mass
+        self.generator = torch.Generator().manual_seed(seed)
         task = Composite(target=Unbounded((n, 2)), shape=[n])
         self.observation_spec = Composite(observation=Unbounded((n, 3)), task=task, shape=[n])
         self.action_spec = Bounded(-MAX_TORQUE, MAX_TORQUE, (n, 1))
@@ -45,7 +47,7 @@ class Pendulum(EnvBase):
         before = td["observation"]
         reward = true_reward(before, self.target)
         torque = self.motor * td["action"].clamp(-MAX_TORQUE, MAX_TORQUE)
-        pull = 1.5 * GRAVITY / LENGTH * self.angle.sin() + 3 / (MASS * LENGTH**2) * torque
+        pull = 1.5 * GRAVITY / LENGTH * self.angle.sin() + 3 / (self.mass * LENGTH**2) * torque
         self.speed = (self.speed + DT * pull).clamp(-MAX_SPEED, MAX_SPEED)
         self.angle = self.angle + DT * self.speed
         return self._observed().update(
@@ -77,11 +79,13 @@ def true_reward(observation: Tensor, target: Tensor) -> Tensor:
     return -(offset(observation, target) ** 2 + 0.1 * observation[..., 2:] ** 2)
 
 
-def controller(observation: Tensor, target: Tensor, motor: float = 1.0) -> Tensor:
+def controller(
+    observation: Tensor, target: Tensor, motor: float = 1.0, mass: float = MASS
+) -> Tensor:
     """The torque of whoever knows the target: a spring and a damper, and gravity made up for."""
     spring = 40 * offset(observation, target) - 12 * observation[..., 2:]
     gravity = 1.5 * GRAVITY / LENGTH * observation[..., 1:2]
-    return (motor * (spring - gravity) / 3).clamp(-MAX_TORQUE, MAX_TORQUE)
+    return (motor * mass * (spring - gravity) / 3).clamp(-MAX_TORQUE, MAX_TORQUE)
 
 
 def make(num_envs: int, seed: int) -> EnvBase:
@@ -92,6 +96,11 @@ def make(num_envs: int, seed: int) -> EnvBase:
 def make_reversed(num_envs: int, seed: int) -> EnvBase:
     """The same with the motor reversed."""
     return Pendulum(num_envs, seed, motor=-1.0)
+
+
+def make_light(num_envs: int, seed: int) -> EnvBase:
+    """The same with a quarter of the mass."""
+    return Pendulum(num_envs, seed, mass=LIGHT)
 
 
 def demonstrations(n: int, seed: int) -> DemonstrationDataset:

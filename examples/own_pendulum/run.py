@@ -1,7 +1,8 @@
 """One demonstration in, its reward out: the pendulum of pendulum.py, with the library's defaults.
 
 ``python examples/own_pendulum/run.py 0 1 2`` writes ``results/own_tasks/pendulum/seed<n>.json`` for
-each seed, some minutes each. True returns are for this report; no learner reads them.
+each seed, some minutes each: the motor is reversed. ``run.py light 0 1 2`` is for a quarter of the
+mass (``pendulum_light``). True returns are for this report; no learner reads them.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import json
 import logging
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,28 +35,62 @@ from pemirl_trl import (
 )
 from pemirl_trl.evaluation import Actor, episode_returns
 from pemirl_trl.files import atomic_path
-from pemirl_trl.methods import PolicyOptimization, adaptation_config, train
+from pemirl_trl.methods import MakeEnv, PolicyOptimization, adaptation_config, train
 
-RESULTS = Path(__file__).parents[2] / "results" / "own_tasks" / "pendulum"
+RESULTS = Path(__file__).parents[2] / "results" / "own_tasks"
 EPISODES = 10  # of each unseen target, for the report
-SHIFT = -1.0  # the motor is reversed
 
 
-def run(seed: int, training: dict[str, Any], optimization: dict[str, Any]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Change:
+    """What is different where the policy is to act."""
+
+    name: str
+    make: MakeEnv
+    motor: float = 1.0
+    mass: float = task.MASS
+
+
+REVERSED = Change("pendulum", task.make_reversed, motor=-1.0)
+LIGHT = Change("pendulum_light", task.make_light, mass=task.LIGHT)
+
+
+def run(
+    seed: int,
+    training: dict[str, Any],
+    optimization: dict[str, Any],
+    change: Change = REVERSED,
+) -> dict[str, Any]:
     """Meta-train, infer and adapt; what it came to, in true returns per target.
 
     Args:
         seed: of demonstrations and training.
         training, optimization: settings that differ from the defaults, for a quick look.
+        change: what is different afterwards.
     """
     began = time.perf_counter()
-    pile = task.demonstrations(400, seed=10_000 + seed)
+    model = meta_train(task.make, pile(seed), seed=seed, **training)
+    return measure(model, seed, optimization, time.perf_counter() - began, change)
+
+
+def pile(seed: int) -> DemonstrationDataset:
+    """What a model is trained on: 400 demonstrations, and nothing that says of which targets."""
+    return without_tasks(task.demonstrations(400, seed=10_000 + seed))
+
+
+def measure(
+    model: PEMIRLModel,
+    seed: int,
+    optimization: dict[str, Any],
+    meta_training: float,
+    change: Change = REVERSED,
+) -> dict[str, Any]:
+    """Adapt a model, and score it; ``meta_training``: the seconds that it took."""
     new = task.demonstrations(10, seed=20_000 + seed)
-    model = meta_train(task.make, without_tasks(pile), seed=seed, **training)
     trained = time.perf_counter()
     one_each = without_tasks(new)
-    adaptation = adapt(model, one_each, task.make_reversed, seed=seed, **optimization)
-    seconds = {"meta_training": trained - began, "adaptation": time.perf_counter() - trained}
+    adaptation = adapt(model, one_each, change.make, seed=seed, **optimization)
+    seconds = {"meta_training": meta_training, "adaptation": time.perf_counter() - trained}
     inferred = InferContext(
         model.encoder,
         new,
@@ -64,19 +100,19 @@ def run(seed: int, training: dict[str, Any], optimization: dict[str, Any]) -> di
         tasks=new.tasks(),
     )
     targets = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=EPISODES)
-    oracle = reinforcement_learning(model, new, seed, optimization)
+    oracle = reinforcement_learning(model, new, seed, optimization, change.make)
     returns = {
-        "expert": score(targets, act),
-        "random": score(targets, None),
-        "carried_over": score(inferred, model.policy),
-        "adapted": score(inferred, adaptation.policy),
-        "rl_with_true_reward": score(targets, oracle),
-        "one_shot": score(inferred, model.policy, motor=1.0),
+        "expert": score(targets, expert(change), change.make),
+        "random": score(targets, None, change.make),
+        "carried_over": score(inferred, model.policy, change.make),
+        "adapted": score(inferred, adaptation.policy, change.make),
+        "rl_with_true_reward": score(targets, oracle, change.make),
+        "one_shot": score(inferred, model.policy, task.make),
     }
     means = {name: sum(each) / len(each) for name, each in returns.items()}
     worst, best = means["carried_over"], means["rl_with_true_reward"]
     return {
-        "task": "own_tasks/pendulum",
+        "task": f"own_tasks/{change.name}",
         "seed": seed,
         "gap_closed": (means["adapted"] - worst) / (best - worst),
         "means": means,
@@ -99,26 +135,34 @@ def without_tasks(demonstrations: DemonstrationDataset) -> DemonstrationDataset:
     return DemonstrationDataset(demonstrations.observation, demonstrations.action)
 
 
-def environment(n: int, seed: int, transform: Transform, motor: float) -> EnvBase:
+def environment(n: int, seed: int, transform: Transform, make: MakeEnv) -> EnvBase:
     """Whole episodes of what the transform writes at reset."""
-    base = task.Pendulum(n, seed, motor)
-    return TransformedEnv(base, Compose(StepCounter(task.T), transform))
+    return TransformedEnv(make(n, seed), Compose(StepCounter(task.T), transform))
 
 
-def act(td: TensorDictBase) -> TensorDictBase:
-    """The controller that knows the target, and that the motor is reversed."""
-    return td.set("action", task.controller(td["observation"], td["task", "target"], SHIFT))
+def expert(change: Change) -> Actor:
+    """The controller that knows the target, and what has changed."""
+
+    def act(td: TensorDictBase) -> TensorDictBase:
+        state, target = td["observation"], td["task", "target"]
+        return td.set("action", task.controller(state, target, change.motor, change.mass))
+
+    return act
 
 
-def score(transform: Transform, actor: Actor, motor: float = SHIFT) -> list[float]:
+def score(transform: Transform, actor: Actor, make: MakeEnv) -> list[float]:
     """True returns, one a target: the mean action, in the same episodes for all."""
     torch.manual_seed(0)
-    env = environment(10 * EPISODES, 30_000, transform.clone(), motor)
+    env = environment(10 * EPISODES, 30_000, transform.clone(), make)
     return episode_returns(env, actor, task.T, episodes_per_task=EPISODES).tolist()
 
 
 def reinforcement_learning(
-    model: PEMIRLModel, new: DemonstrationDataset, seed: int, settings: dict[str, Any]
+    model: PEMIRLModel,
+    new: DemonstrationDataset,
+    seed: int,
+    settings: dict[str, Any],
+    make: MakeEnv,
 ) -> ContextPolicy:
     """A policy that reads the target, on the true reward, with adaptation's own settings."""
     torch.manual_seed(seed)
@@ -138,7 +182,7 @@ def reinforcement_learning(
         return task.true_reward(observation, target)
 
     method = PolicyOptimization(
-        environment(len(new) * rollouts, seed, targets, SHIFT),
+        environment(len(new) * rollouts, seed, targets, make),
         policy,
         task.T,
         config.optimization,
@@ -154,10 +198,13 @@ def main() -> None:
     """A result for each seed of the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     torch.set_num_threads(1)
-    for seed in map(int, sys.argv[1:] or ["0"]):
-        result = run(seed, {}, {})
-        RESULTS.mkdir(parents=True, exist_ok=True)
-        with atomic_path(RESULTS / f"seed{seed}.json") as temporary:
+    light = "light" in sys.argv[1:]
+    change = LIGHT if light else REVERSED
+    folder = RESULTS / change.name
+    for seed in map(int, sys.argv[2 if light else 1 :] or ["0"]):
+        result = run(seed, {}, {}, change)
+        folder.mkdir(parents=True, exist_ok=True)
+        with atomic_path(folder / f"seed{seed}.json") as temporary:
             temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
         logging.info("seed %d: gap closed %.3f; %s", seed, result["gap_closed"], result["means"])
 

@@ -27,7 +27,10 @@ COMMANDS: Mapping[str, str] = {
 
 OTHERS: Mapping[str, tuple[str, str]] = {
     "infer": ("pemirl_lab.measuring.infer", "m and r of one demonstration, and how far off it is"),
+    "export_reward": ("pemirl_lab.measuring.export_reward", "a reward, with its card, to a file"),
+    "export_model": ("pemirl_lab.measuring.export_model", "a model, with its card, to a file"),
     "check": ("pemirl_lab.measuring.check", "what is suspicious about a file of demonstrations"),
+    "film_strip": ("pemirl_lab.pages.film_strip", "a film as a picture, a row per episode"),
     "run_page": (
         "pemirl_lab.pages.run_page",
         "one HTML page of a run: health, curves, maps",

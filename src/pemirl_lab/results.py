@@ -29,6 +29,7 @@ __all__ = [
 ]
 
 SCHEMA = 2
+"""Version of the files' format."""
 SETTINGS = (
     "one_shot",
     "policy_generalisation",

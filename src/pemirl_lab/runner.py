@@ -27,7 +27,7 @@ from pemirl_lab.runs.places import RunRefused
 from pemirl_lab.runs.settings import parse
 from pemirl_lab.runs.tables import Table, read_table
 
-OWN_TASK = ("meta_train", "adapt_reward")
+OWN_TASK = ("meta_train", "adapt_reward", "reward_report")
 """What also runs on an environment of the user's own, with ``env=my_module:make_env``."""
 JOBS = 2
 """Rows of a table side by side, where nothing else is said: each holds its rollouts in memory."""

@@ -8,14 +8,18 @@ rollouts each, context-major):
 key                      shape       symbol       written by
 ======================== =========== ============ =============================================
 observation              [N, T, S]   s_t          the environment; never holds the task
-action                   [N, T, A]   a_t          ContextPolicy; as drawn, before any clipping
+action                   [N, T, A]   a_t          the policy; as drawn, before any clipping; a
+                                                  discrete one is one-hot, of A choices
 ("next", "observation")  [N, T, S]   s_{t+1}      the environment
 context                  [N, T, D]   m            InferContext, once per rollout
 context_loc              [N, D]      mean of q    ContextEncoder
 context_scale            [N, D]      deviation    ContextEncoder
 demonstration            [N, T]      index        InferContext: which demonstration m is from
+mask                     [N, T]                   demonstrations: False for padding, if there is any
+absorbing                [N, T]                   AbsorbingState: the episode ended before this step
 loc, scale               [N, T, A]                ContextPolicy: parameters of pi at collection
-action_log_prob          [N, T]      log pi       ContextPolicy, at collection
+logits                   [N, T, A]                CategoricalPolicy: the same
+action_log_prob          [N, T]      log pi       the policy, at collection
 learned_reward           [..., 1]    r_theta      ShapedReward
 shaped_reward            [..., 1]    f            ShapedReward: r + gamma h' - h
 logit_expert             [..., 1]    f - log pi   AIRLDiscriminator; high means expert
@@ -32,9 +36,12 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from pemirl_trl.data import DemonstrationDataset, Negatives, Provenance
+from pemirl_trl.files import Card
 from pemirl_trl.health import Finding, Health, Sign
 from pemirl_trl.modules import (
     AIRLDiscriminator,
+    AttentionContextEncoder,
+    CategoricalPolicy,
     ContextEncoder,
     ContextPolicy,
     ContextValue,
@@ -57,10 +64,19 @@ from pemirl_trl.objectives import (
     ValueLoss,
 )
 from pemirl_trl.optim import TrustRegionOptimizer, TrustRegionResult
-from pemirl_trl.pretrained import load_model, save_model
-from pemirl_trl.transforms import InferContext, LearnedReward, SampleTasks
+from pemirl_trl.pretrained import load_card, load_model, save_model
+from pemirl_trl.sharing import PortableReward, load_reward, save_reward
+from pemirl_trl.transforms import (
+    AbsorbingState,
+    InferContext,
+    JoinObservations,
+    LearnedReward,
+    OneHotActions,
+    SampleTasks,
+)
 
 if TYPE_CHECKING:
+    from pemirl_trl.adapters import BatchReward, LearnedRewardVectorWrapper, LearnedRewardWrapper
     from pemirl_trl.methods import (
         Adaptation,
         Inference,
@@ -74,7 +90,12 @@ __version__ = "0.1.0"
 
 __all__ = [
     "AIRLDiscriminator",
+    "AbsorbingState",
     "Adaptation",
+    "AttentionContextEncoder",
+    "BatchReward",
+    "Card",
+    "CategoricalPolicy",
     "ContextEncoder",
     "ContextPolicy",
     "ContextValue",
@@ -88,13 +109,18 @@ __all__ = [
     "InferContext",
     "Inference",
     "InfoLoss",
+    "JoinObservations",
     "LearnedReward",
+    "LearnedRewardVectorWrapper",
+    "LearnedRewardWrapper",
     "MaskedContextEncoder",
     "MetaILLoss",
     "ModelConfig",
     "Negatives",
     "NoContext",
+    "OneHotActions",
     "PEMIRLModel",
+    "PortableReward",
     "Provenance",
     "SampleTasks",
     "ShapedReward",
@@ -107,19 +133,31 @@ __all__ = [
     "ValueLoss",
     "adapt",
     "infer",
+    "load_card",
     "load_model",
+    "load_reward",
     "meta_train",
     "save_model",
+    "save_reward",
     "wrap_gymnasium",
 ]
 
 # These bring TorchRL's collectors, which warn of their own deprecated classes at import: whoever
 # composes losses in a trainer of theirs has no need of them.
-_CALLS = ("Adaptation", "Inference", "adapt", "infer", "meta_train", "wrap_gymnasium")
+_CALLS = {
+    **dict.fromkeys(
+        ("Adaptation", "Inference", "adapt", "infer", "meta_train", "wrap_gymnasium"),
+        "pemirl_trl.methods",
+    ),
+    **dict.fromkeys(
+        ("BatchReward", "LearnedRewardVectorWrapper", "LearnedRewardWrapper"),
+        "pemirl_trl.adapters",
+    ),
+}
 
 
 def __getattr__(name: str) -> Any:
     """Import the calls for a task of one's own when they are asked for (PEP 562)."""
     if name in _CALLS:
-        return getattr(importlib.import_module("pemirl_trl.methods"), name)
+        return getattr(importlib.import_module(_CALLS[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

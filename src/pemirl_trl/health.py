@@ -283,13 +283,13 @@ SIGNS: tuple[Sign, ...] = (
         above=True,
         patience=5,
         cure="training.gradient_penalty_coeff=0.1, less of training.info_coeff, or the bounded "
-        "information term (method=pemirl_bounded)",
+        "information term (method=pemirl)",
     ),
     Sign(
         name="deviation runaway",
         meaning="the policy acts ever more at random",
-        measured="deviation, as a multiple of the first",
-        reads=("policy/scale",),
+        measured="learned deviation, as a multiple of the first",
+        reads=("policy/learned_scale",),
         measure=growth,
         threshold=1.5,
         above=True,

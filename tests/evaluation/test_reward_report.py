@@ -105,6 +105,33 @@ def test_summary_and_table_take_the_worst_in_the_right_direction():
     ]
 
 
+def test_by_metric_is_the_same_measures_by_their_headings():
+    result = report({"r": true})
+    by_metric = result.by_metric()
+    assert list(by_metric) == [
+        "Spearman", "Pearson", "EPIC", "feasible distance", "argmax error, m"
+    ]  # fmt: skip
+    assert list(by_metric["Spearman"]) == ["r on random", "r on map"]
+    expected = result.per_task[Measure("r", "random", "epic")]
+    assert torch.equal(by_metric["EPIC"]["r on random"], expected)
+
+
+def test_without_a_true_reward_of_anything_there_is_no_epic():
+    """The other measures are of what happened, and are the same to the bit."""
+    batch = coverage()
+    batch["next", "reward"] = true(batch).unsqueeze(-1)
+    rewards = {"r": lambda b: b["observation"].square().sum(-1)}
+    with_epic = report(rewards, batch).per_task
+    without = reward_report(
+        rewards, None, {"random": batch}, gamma=GAMMA, features=16, positions=GRID, goals=GOALS
+    ).per_task
+    assert with_epic.keys() - without.keys() == {Measure("r", "random", "epic")}
+    for measure, values in without.items():
+        assert torch.equal(values, with_epic[measure])
+    with pytest.raises(ValueError, match="got no true reward, and transitions without"):
+        reward_report(rewards, None, {"random": coverage()}, gamma=GAMMA, features=16)
+
+
 def test_a_report_is_seeded():
     batch = coverage()
     rewards = {"r": lambda b: b["observation"].square().sum(-1)}

@@ -37,7 +37,7 @@ SMALL = (
 )  # fmt: skip
 COMMANDS = {
     "quickstart": ("run_dir=run",),
-    "meta_train": ("method=pemirl_bounded", "run_dir=run"),
+    "meta_train": ("method=pemirl", "run_dir=run"),
     "train_expert": (
         "output=expert.safetensors", "run_dir=run", "expert_training.optimization.iterations=8",
         "expert_training.tasks_per_batch=4", "expert_training.rollouts_per_task=2",

@@ -10,8 +10,9 @@ import pytest
 import yaml
 
 from pemirl_lab import cli
+from pemirl_lab.commands.adapt_reward import load_adapted
 from pemirl_lab.runs.own_task import OwnTask, load_make_env, parse_words
-from pemirl_trl import load_model
+from pemirl_trl import CategoricalPolicy, load_model
 
 PENDULUM = Path(__file__).parents[2] / "examples" / "own_pendulum" / "pendulum.py"
 FEW = (
@@ -158,3 +159,57 @@ def test_an_error_in_the_users_function_keeps_its_traceback(pemirl, mine, fault)
     (mine / "wrong.py").write_text("def make(num_envs, seed):\n    return None\n")
     with pytest.raises(SystemExit, match="returned a NoneType; expected a TorchRL environment"):
         pemirl("meta_train", *TRAIN, *FEW, "env=wrong:make", "run_dir=R2")
+
+
+def test_episodes_of_several_lengths_from_demonstrations_to_a_policy(pemirl, mine, capsys):
+    """The example whose episodes end early, by the same words."""
+    shutil.copy(PENDULUM.parents[1] / "own_puck" / "puck.py", mine / "my_puck.py")
+    task = importlib.import_module("my_puck")
+    try:
+        task.demonstrations(12, 1).save(mine / "train.safetensors")
+        task.demonstrations(2, 2).save(mine / "two.safetensors")
+        pemirl("check", "train.safetensors")
+        shown = capsys.readouterr().out
+        assert f"12 ended by themselves before T = {task.T}, 0 were cut" in shown
+        pemirl("meta_train", TRAIN[0], "env=my_puck:make", "run_dir=R", *FEW)
+        assert "model.absorbing                True" in capsys.readouterr().out
+        pemirl(
+            "infer", "model_file=R/model.safetensors", "demonstration=two.safetensors", "index=1"
+        )
+        length = int(task.demonstrations(2, 2).lengths[1])
+        steps = [line for line in capsys.readouterr().out.splitlines() if "  step " in line]
+        assert steps[-1].split()[1] == str(length - 1)  # r along what was demonstrated
+        words = ("test_demonstrations=two.safetensors", "env=my_puck:make_reversed")
+        pemirl("adapt_reward", *ADAPT, *words)
+        assert "learned return:" in capsys.readouterr().out
+    finally:
+        sys.modules.pop("my_puck", None)
+
+
+def test_discrete_actions_and_named_entries_by_command(here, command, monkeypatch, capsys):
+    shutil.copy(PENDULUM.parents[1] / "own_grid" / "grid.py", here / "my_grid.py")
+    monkeypatch.syspath_prepend(str(here))
+    task = importlib.import_module("my_grid")
+    task.demonstrations(6, 1).save(here / "train.safetensors")
+    task.demonstrations(1, 2).save(here / "one.safetensors")
+
+    def pemirl(*arguments):
+        monkeypatch.setattr(sys, "argv", ["pemirl", *arguments])
+        cli.main()
+
+    train = ("meta_train", "demonstrations=train.safetensors", "env=my_grid:make", *FEW)
+    with pytest.raises(SystemExit, match=r"^pemirl meta_train: .*ones of \['column', 'row'"):
+        pemirl(*train, "run_dir=W", "observation_keys=[row,colum]")
+    pemirl(*train, "run_dir=R", "observation_keys=[column,row]")
+    assert load_model(here / "R/model.safetensors").config.actions == "discrete"
+    adapt = tuple(
+        word.replace("my_pendulum:make_reversed", "my_grid:make_turned") for word in ADAPT
+    )
+    pemirl("adapt_reward", *adapt, "observation_keys=[column,row]")
+    pemirl("infer", "model_file=R/model.safetensors", "demonstration=one.safetensors")
+    assert "r(s, m) along the demonstration" in capsys.readouterr().out
+    policy, _ = load_adapted(
+        here / "A/policy.safetensors", load_model(here / "R/model.safetensors")
+    )
+    assert isinstance(policy, CategoricalPolicy)
+    sys.modules.pop("my_grid", None)

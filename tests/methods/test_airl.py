@@ -12,13 +12,13 @@ def after(method, iterations=2):
 def test_it_is_pemirl_without_the_information_term(reach, state, differences):
     """Bit for bit, once PEMIRL's draw of contexts for L_info is taken out of the random stream."""
     pemirl = reach.pemirl(info_coeff=0.0, encoder_lr=0.0, gradient_penalty_coeff=0.1)
-    draw = pemirl._some_contexts
+    draw = pemirl._rows_of_some_contexts
 
     def aside(rollouts):
         with torch.random.fork_rng(devices=[]):
             return draw(rollouts)
 
-    pemirl._some_contexts = aside
+    pemirl._rows_of_some_contexts = aside
     (expected, pemirl), (metrics, airl) = (
         after(pemirl),
         after(reach.airl(gradient_penalty_coeff=0.1)),

@@ -9,6 +9,7 @@ from pemirl_trl.methods import (
     MetaILConfig,
     PolicyOptimizationConfig,
     adaptation_config,
+    initial_policy,
     meta_training_config,
 )
 from pemirl_trl.methods.defaults import (
@@ -71,9 +72,9 @@ def test_actions_that_are_all_zero_are_refused():
         meta_training_config(data(size=0.0))
 
 
-@pytest.mark.parametrize("preset", ["paper", "bounded", "robust", "contrastive"])
+@pytest.mark.parametrize("preset", ["paper", "robust", "contrastive"])
 def test_a_preset_is_the_librarys_method_but_for_what_was_found(preset):
-    names = {"paper": "pemirl", "bounded": "pemirl_bounded"}
+    names = {"paper": "pemirl"}
     base = METHODS[names.get(preset, f"pemirl_{preset}")]
     config = meta_training_config(data(), preset)
     assert config.training.gradient_penalty_coeff == base.training.gradient_penalty_coeff
@@ -113,7 +114,7 @@ def test_a_wrong_setting_is_named(overrides, message):
 
 
 def test_an_unknown_preset_lists_those_that_there_are():
-    with pytest.raises(ValueError, match=r"unknown preset 'best'; choose one of \['paper', 'bou"):
+    with pytest.raises(ValueError, match=r"unknown preset 'best'; choose one of \['paper', 'rob"):
         meta_training_config(data(), "best")
 
 
@@ -126,3 +127,61 @@ def test_the_table_shows_what_is_used():
     assert "rollouts" in table(
         found_for_adaptation(model(), data()), adaptation_config(model(), data())
     )
+
+
+def choices(count=100, horizon=40):
+    action = torch.eye(3)[torch.randint(3, (count, horizon))]
+    return DemonstrationDataset(torch.randn(count, horizon + 1, 2), action)
+
+
+@pytest.mark.parametrize("preset", ["paper", "robust"])
+def test_one_hot_actions_ask_for_a_categorical_policy_with_shares_for_deviations(preset):
+    config = meta_training_config(choices(), preset)
+    assert config.model.actions == "discrete"
+    assert 0 < config.model.policy_scale < 1
+    assert not config.learn_policy_scale
+    final = config.training.policy.final_scale
+    assert (final is None) == (preset != "robust")
+    assert final is None or final < config.model.policy_scale
+    text = table(found_for_meta_training(choices(), preset), config)
+    assert "model.actions                  discrete\n" in text
+    one_hot = PEMIRLModel(2, 3, 40, config.model)
+    adaptation = adaptation_config(one_hot, choices(10))
+    assert 1 > adaptation.policy_scale > adaptation.optimization.final_scale > 0
+
+
+@pytest.mark.parametrize("given", [{"actions": "continuous"}, ModelConfig()])
+def test_one_hot_actions_that_are_meant_as_numbers_stay_numbers(given):
+    config = meta_training_config(choices(), overrides={"model": given})
+    assert config.model.actions == "continuous"
+    assert config == meta_training_config(
+        choices(), overrides={"model": {"actions": "continuous", **dict(vars(config.model))}}
+    )
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"learn_policy_scale": True}, "a policy of discrete actions learns none"),
+        ({"training": {"policy": {"final_scale": 1.5}}}, "final_scale is 1.5; of discrete"),
+        ({"model": {"policy_scale": 2.0}}, "policy_scale is 2.0; of discrete"),
+        ({"model": {"actions": "some"}}, "model.actions"),
+    ],
+)
+def test_deviations_that_no_choice_has_are_refused(overrides, message):
+    with pytest.raises(ValueError, match=message):
+        meta_training_config(choices(), overrides=overrides)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"policy_scale": 3.0}, "policy_scale is 3.0; of discrete"),
+        ({"optimization": {"final_scale": 1.0}}, "final_scale is 1.0; of discrete"),
+        ({"learn_policy_scale": True}, "a policy of discrete actions learns none"),
+    ],
+)
+def test_they_are_refused_before_adaptation_too(overrides, message):
+    one_hot = PEMIRLModel(2, 3, 40, ModelConfig(actions="discrete", policy_scale=0.3))
+    with pytest.raises(ValueError, match=message):
+        initial_policy(one_hot, adaptation_config(one_hot, choices(10), overrides))

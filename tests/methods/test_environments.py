@@ -108,7 +108,7 @@ def test_a_torchrl_environment_without_a_limit_is_given_one(reach, episodes, mak
 
 
 def discrete(env):
-    env.action_spec = Categorical(3, shape=(*env.batch_size, 1))
+    env.action_spec = Categorical(3, shape=env.batch_size)
 
 
 def wide(env):
@@ -119,7 +119,7 @@ def wide(env):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (discrete, "its actions are Categorical of torch.int64; a Gaussian policy gives real"),
+        (discrete, r"its actions are 3 choices \(OneHot\); a Gaussian policy gives real"),
         (wide, r"its observations have the shape \[2, 5\]; the demonstrations' are \[2, 1\]"),
     ],
 )

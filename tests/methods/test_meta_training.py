@@ -89,12 +89,12 @@ def test_encoder_and_policy_start_where_the_method_says(demonstrations):
                 )
                 same = all(torch.equal(a, b) for a, b in pairs)
                 assert same == (start == "meta_il"), (name, start)
-            assert not model.policy.log_scale.requires_grad
+            assert model.policy.log_scale.requires_grad
     with pytest.raises(ValueError, match="initial_encoder=meta_il needs Meta-IL's model; got none"):
         start_from(trained, None, MethodConfig())
-    learned = MethodConfig(learn_policy_scale=True)
-    start_from(model, trained, learned)
-    assert model.policy.log_scale.requires_grad
+    held = MethodConfig(learn_policy_scale=False)
+    start_from(model, trained, held)
+    assert not model.policy.log_scale.requires_grad
 
 
 def test_adaptation_starts_from_the_policy_that_was_asked_for(reach):

@@ -79,7 +79,8 @@ def test_what_earns_less_than_the_policy_carried_over_is_not_returned(trained, n
 
 
 def test_policies_are_compared_in_the_same_episodes(trained, new, make_env):
-    training = own_adaptation._Training(trained, new, make_env, lambda *stage: None, 0)
+    episodes = own_adaptation.Episodes(make_env, trained, new, 0)
+    training = own_adaptation._Training(trained, new, episodes, lambda *stage: None, 0)
     assert training.learned_return(trained.policy) == training.learned_return(trained.policy)
     state = torch.get_rng_state()
     training.learned_return(trained.policy)
@@ -101,7 +102,8 @@ def test_states_far_from_training_are_said(trained, new, make_env):
     result = adapt(trained, new, distant, **few)
     assert any("more than 3 training deviations" in text for text in result.warnings)
     assert result.warnings == tuple(str(result).split("warning: ", 1)[1].split("\nwarning: "))
-    assert adapt(trained, new, make_env, **QUICK).warnings == ()
+    near = adapt(trained, new, make_env, **few).warnings
+    assert not any("training deviations" in text for text in near)
 
 
 def test_a_demonstration_far_from_training_is_said(trained, dataset, make_env):

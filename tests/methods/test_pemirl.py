@@ -99,8 +99,8 @@ def test_the_seed_decides_everything(reach, differences):
     ("frozen", "config"),
     [
         ("encoder", {"encoder_lr": 0.0, "encoder_gradient": True}),
-        ("reward", {"reward_lr": 0.0, "gradient_penalty_coeff": 1.0}),
-        ("policy", {"policy": PolicyConfig(trpo=TRPOConfig(max_kl=1e-30))}),
+        ("reward", {"encoder_lr": 1e-4, "reward_lr": 0.0, "gradient_penalty_coeff": 1.0}),
+        ("policy", {"encoder_lr": 1e-4, "policy": PolicyConfig(trpo=TRPOConfig(max_kl=1e-30))}),
     ],
 )
 def test_each_network_has_one_optimiser(frozen, config, reach):
@@ -126,14 +126,17 @@ def encoder_beside_another_reward(problem, **config):
 
 def test_psi_moves_by_the_information_loss_alone(reach, differences):
     # The reward makes the classification loss and Lemma 2's, but not -E log q(m|tau).
-    assert differences(encoder_after(reach), encoder_beside_another_reward(reach)) == []
-    assert differences(encoder_after(reach), encoder_after(reach, info_coeff=5.0)) == []
+    base = {"encoder_lr": 1e-4}
+    after = encoder_after(reach, **base)
+    assert differences(after, encoder_beside_another_reward(reach, **base)) == []
+    assert differences(after, encoder_after(reach, info_coeff=5.0, **base)) == []
 
 
 def test_the_discriminator_trains_psi_where_it_is_told_to(reach, differences):
-    on = {"encoder_gradient": True}
+    base = {"encoder_lr": 1e-4}
+    on = base | {"encoder_gradient": True}
     assert differences(encoder_after(reach, **on), encoder_beside_another_reward(reach, **on))
-    assert differences(encoder_after(reach, **on), encoder_after(reach))
+    assert differences(encoder_after(reach, **on), encoder_after(reach, **base))
 
 
 def test_psi_descends_its_loss(reach):
@@ -214,3 +217,18 @@ def test_the_imitation_loss_shows_each_demonstration_its_own_context(reach):
     torch.testing.assert_close(loss, -0.5 * torch.stack(expected).sum(-1).mean())
     off = reach.pemirl(policy=PolicyConfig(imitation_coeff=0.0))
     assert off.sampler.imitation_loss(rollouts) is None
+
+
+# --- losses that move nothing are not computed ------------------------------------------------
+
+
+@pytest.mark.parametrize("settings", [{"info_coeff": 0.0}, {}])
+def test_an_encoder_at_rest_costs_no_step_and_changes_no_bit(settings, maze, differences):
+    resting, all_but = (maze.pemirl(encoder_lr=lr, **settings) for lr in (0.0, 1e-38))
+    (parameters, metrics), (others, other_metrics) = run(resting, 2), run(all_but, 2)
+    assert not resting._encoder_optimizer.state
+    assert all_but._encoder_optimizer.state
+    # Adam's smallest step moves weights that are 0, and nothing else.
+    moved = {name.split(".")[0] for name in differences(parameters, others)}
+    assert moved <= {"encoder"}
+    assert metrics == other_metrics

@@ -63,7 +63,11 @@ def test_a_forced_deviation_follows_its_schedule(reach):
 
 def test_a_free_deviation_is_learned(reach):
     method = reach.policy_optimization(iterations=2)
-    assert method.iteration()["policy/scale"] != method.iteration()["policy/scale"]
+    first, second = method.iteration(), method.iteration()
+    assert first["policy/scale"] != second["policy/scale"]
+    assert second["policy/learned_scale"] == second["policy/scale"]
+    forced = reach.policy_optimization(iterations=2, final_scale=0.1)
+    assert "policy/learned_scale" not in forced.iteration()
 
 
 def test_imitating_the_best_needs_a_learned_reward(reach):

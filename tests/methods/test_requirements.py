@@ -39,8 +39,11 @@ def longer(env):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (discrete, "its actions are Categorical of torch.int64; a Gaussian policy gives real"),
-        (one_hot, "its actions are OneHot"),
+        (
+            discrete,
+            r"its actions are 3 choices \(Categorical\); a Gaussian .*discrete_actions=3",
+        ),
+        (one_hot, r"its actions are 3 choices \(OneHot\); a Gaussian policy"),
         (two_actions, r"its actions have the shape \[4, 2\]; the policy's are \[4, 1\]"),
         (double, r"'observation' is torch.float64, and the networks take .* \(DoubleToFloat casts"),
         (longer, "its episodes last 12 steps, and the model's 10"),

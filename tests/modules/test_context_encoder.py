@@ -8,12 +8,14 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.modules import (
+    AttentionContextEncoder,
     ContextEncoder,
     ContextPolicy,
     MaskedContextEncoder,
     NoContext,
     ShapedReward,
 )
+from pemirl_trl.modules.attention_encoder import places
 
 N, T, S, A, D = 5, 6, 3, 2, 2
 
@@ -24,7 +26,10 @@ def trajectories(horizon=T):
     )
 
 
-@pytest.fixture(params=[ContextEncoder, MaskedContextEncoder])
+any_length = pytest.mark.parametrize("kind", [MaskedContextEncoder, AttentionContextEncoder])
+
+
+@pytest.fixture(params=[ContextEncoder, MaskedContextEncoder, AttentionContextEncoder])
 def encoder(request):
     horizon = (T,) if request.param is ContextEncoder else ()
     return request.param(S, A, D, *horizon, scale_depends_on_input=True)
@@ -71,7 +76,7 @@ def test_trajectories_do_not_see_each_other(encoder, float64):
     assert torch.allclose(encoder.get_dist(batch[order]).mean, expected)
 
 
-def test_every_step_matters_and_only_the_flat_encoder_sees_their_order(encoder):
+def test_every_step_matters_and_only_the_average_does_not_see_their_order(encoder):
     batch = trajectories()
     mean = encoder.get_dist(batch).mean
     for t in range(T):
@@ -109,8 +114,9 @@ def padded(fill):
 
 
 @pytest.mark.parametrize("fill", [1e6, torch.nan, torch.inf])
-def test_padding_changes_nothing(fill):
-    encoder = MaskedContextEncoder(S, A, D, scale_depends_on_input=True)
+@any_length
+def test_padding_changes_nothing(kind, fill):
+    encoder = kind(S, A, D, scale_depends_on_input=True)
     batch, lengths = padded(fill)
     q = encoder.get_dist(batch)
     for i, length in enumerate(lengths):
@@ -120,8 +126,9 @@ def test_padding_changes_nothing(fill):
         assert torch.allclose(q.stddev[i], alone.stddev[0], atol=1e-6)
 
 
-def test_padding_leaves_gradients_finite_and_equal():
-    encoder = MaskedContextEncoder(S, A, D, activation=nn.Tanh)
+@any_length
+def test_padding_leaves_gradients_finite_and_equal(kind):
+    encoder = kind(S, A, D, activation=nn.Tanh)
     torch.manual_seed(1)
     zeros, _ = padded(0.0)
     torch.manual_seed(1)
@@ -136,11 +143,54 @@ def test_padding_leaves_gradients_finite_and_equal():
         assert torch.equal(got, expected)
 
 
-def test_a_trajectory_without_a_valid_step_is_refused():
+@any_length
+def test_a_trajectory_without_a_valid_step_is_refused(kind):
     batch, _ = padded(0.0)
     batch["mask"][2] = False
     with pytest.raises(ValueError, match="no valid step"):
-        MaskedContextEncoder(S, A, D).get_dist(batch)
+        kind(S, A, D).get_dist(batch)
+
+
+def test_the_flat_encoder_refuses_padding():
+    batch, _ = padded(0.0)
+    with pytest.raises(ValueError, match="all 6 steps of a trajectory, and 4 of these have paddi"):
+        ContextEncoder(S, A, D, T).get_dist(batch)
+    batch["mask"][:] = True
+    without = ContextEncoder(S, A, D, T)
+    assert torch.equal(without.get_dist(batch).mean, without.get_dist(batch.exclude("mask")).mean)
+
+
+def test_where_a_step_is_does_not_depend_on_padding():
+    mask = torch.tensor([[True] * 4, [True, True, False, False]])
+    share, start, end = places(mask).unbind(-1)
+    assert share[0].tolist() == [0.125, 0.375, 0.625, 0.875]
+    assert share[1, :2].tolist() == [0.25, 0.75]
+    assert start[0].tolist() == pytest.approx([1, 1 / 2, 1 / 3, 1 / 4])
+    assert end[0].tolist() == pytest.approx([1 / 4, 1 / 3, 1 / 2, 1])
+    assert end[1, :2].tolist() == [0.5, 1.0]
+
+
+def test_attention_finds_what_an_average_blurs(float64):
+    """The last position of a walk, among 49 others, at any length."""
+    torch.manual_seed(0)
+    errors = {}
+    for kind in (MaskedContextEncoder, AttentionContextEncoder):
+        torch.manual_seed(0)
+        encoder = kind(1, 1, 1, hidden=(32, 32))
+        optimizer = torch.optim.Adam(encoder.parameters(), 3e-3)
+        for step in range(201):
+            walk = 0.3 * torch.randn(64, 50, 1).cumsum(1)
+            length = torch.randint(5, 51, (64, 1))
+            batch = {"observation": walk, "action": torch.zeros(64, 50, 1)}
+            batch["mask"] = torch.arange(50) < length
+            last = walk.gather(1, length.unsqueeze(-1) - 1).squeeze(1)
+            loss = (encoder.get_dist(TensorDict(batch, [64])).mean - last).square().mean()
+            if step < 200:
+                optimizer.zero_grad()
+                loss.backward()
+                optimizer.step()
+        errors[kind] = float(loss.detach())
+    assert errors[AttentionContextEncoder] < 0.25 * errors[MaskedContextEncoder]
 
 
 def test_no_context_is_certain_and_has_nothing_to_learn():

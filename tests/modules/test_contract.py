@@ -10,6 +10,8 @@ from tensordict.nn import TensorDictModuleBase
 from pemirl_trl import modules
 from pemirl_trl.modules import (
     AIRLDiscriminator,
+    AttentionContextEncoder,
+    CategoricalPolicy,
     ContextEncoder,
     ContextPolicy,
     ContextValue,
@@ -28,10 +30,12 @@ BUILD = {
         S, A, D, T, standardize=s, scale_depends_on_input=True
     ),
     "masked_encoder": lambda s: MaskedContextEncoder(S, A, D, standardize=s),
+    "attention_encoder": lambda s: AttentionContextEncoder(S, A, D, standardize=s),
     "reward": lambda s: ShapedReward(S, D, standardize=s),
     "discriminator": lambda s: AIRLDiscriminator(ShapedReward(S, D, standardize=s)),
     "gail_discriminator": lambda s: GAILDiscriminator(S, A, standardize=s),
     "policy": lambda s: ContextPolicy(S, A, D, standardize=s),
+    "categorical_policy": lambda s: CategoricalPolicy(S, A, D, standardize=s),
     "value": lambda s: ContextValue(S, D, T, standardize=s),
 }
 # What stands for a module's function in these tests: its differentiable output.
@@ -42,7 +46,9 @@ OUTPUTS = {
     "reward": ("learned_reward", "shaped_reward"),
     "discriminator": ("logit_expert",),
     "gail_discriminator": ("logit_expert",),
+    "attention_encoder": ("context_loc", "context_scale"),
     "policy": ("loc", "scale"),
+    "categorical_policy": ("logits",),
     "value": ("state_value",),
 }
 
@@ -149,7 +155,7 @@ def test_every_key_has_a_name_and_every_name_a_key(name):
     module = build(name)
     named = {value for key, value in vars(module).items() if key.endswith("_key")}
     named |= set(getattr(module, "role_keys", {}).values())
-    if name == "policy":
+    if name in ("policy", "categorical_policy"):
         named.add(module.log_prob_key)
     assert named == {*module.in_keys, *module.out_keys}
 

@@ -8,6 +8,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from pemirl_trl.modules import (
+    AttentionContextEncoder,
     ContextEncoder,
     GAILDiscriminator,
     MaskedContextEncoder,
@@ -25,6 +26,7 @@ KINDS = [
     ({"context_dim": 2, "reward_features": (2, 0)}, ContextEncoder, ShapedReward),
     ({"context_dim": 0}, NoContext, ShapedReward),
     ({"context_dim": 2, "encoder": "masked"}, MaskedContextEncoder, ShapedReward),
+    ({"context_dim": 2, "encoder": "attention"}, AttentionContextEncoder, ShapedReward),
     ({"context_dim": 2, "reward": "gail"}, ContextEncoder, GAILDiscriminator),
     ({"context_dim": 0, "reward": "gail"}, NoContext, GAILDiscriminator),
 ]
@@ -94,7 +96,7 @@ def test_its_trained_policy_can_be_trained_on():
 @pytest.mark.parametrize(
     ("config", "message"),
     [
-        ({"encoder": "rnn"}, "encoder\n  Input should be 'flat' or 'masked'"),
+        ({"encoder": "rnn"}, "encoder\n  Input should be 'flat', 'masked' or 'attention'"),
         ({"encoder": "rnn", "context_dim": 0}, "encoder\n  Input should be"),
         ({"reward": "airl"}, "reward\n  Input should be 'shaped' or 'gail'"),
     ],

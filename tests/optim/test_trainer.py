@@ -18,7 +18,7 @@ from pemirl_trl.transforms import InferContext
 
 from ..transforms.toy import Line
 
-N, T, ITERATIONS, MAX_KL = 64, 3, 8, 0.05
+N, T, ITERATIONS, MAX_KL = 64, 3, 12, 0.05
 
 
 @pytest.fixture

@@ -238,3 +238,13 @@ def test_a_second_trust_region_is_refused(model):
         TrustRegionOptimizer([{"params": [p]} for p in model.params])
     with pytest.raises(ValueError, match="expected one parameter group, got a second one"):
         optimizer(model).add_param_group({"params": [torch.nn.Parameter(torch.ones(1))]})
+
+
+def test_two_ways_to_the_fisher_information_are_refused(model):
+    with pytest.raises(ValueError, match="got fisher_closure and fisher_product; expected one"):
+        optimizer(model).step(model.closure, model.kl, lambda vector: vector)
+
+
+def test_a_fisher_product_of_ones_own_sets_the_metric(model):
+    optimizer(model).step(model.closure, fisher_product=lambda v: 4.0 * model.fisher @ v)
+    assert torch.allclose(model.moved(), model.step(0.03, 4.0 * model.fisher), rtol=1e-5)

@@ -16,6 +16,8 @@ DEMONSTRATIONS = 4000
 class Known:
     """q(m | tau), certain of the task, which stands in the last component of an observation."""
 
+    in_keys = ("observation",)
+
     @staticmethod
     def get_dist(demonstrations):
         task = demonstrations["observation"][:, 0, 2:]

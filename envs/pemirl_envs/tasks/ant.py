@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import MappingProxyType
 from typing import Literal
 
@@ -25,7 +25,8 @@ from pemirl_envs.tasks.quantities import Component, component_slice
 
 _XML = pathlib.Path(__file__).with_suffix(".xml")
 
-_DISABLED_LEGS = (3, 4)  # the front ones: the eyes are on their side
+_LEGS = (1, 2, 3, 4)
+_FRONT_LEGS = (3, 4)  # the eyes are on their side
 _DISABLED_LENGTH = 0.5  # of a disabled thigh and shin, relative to a healthy one
 _DISABLED_GEAR = 1.0  # N m; healthy motors have 30
 _CONTROL_COST = 0.01
@@ -62,9 +63,13 @@ class Ant(Task):
     Splits: ``train``, ``validation`` and ``test`` are the same two directions; there are no others.
 
     Args:
-        disabled: halve the thighs and shins of the two front legs, and weaken their motors to a
-            thirtieth. The motors keep their order, so that a policy can be carried over.
+        disabled: legs (1 to 4) whose thighs and shins are half as long, and whose motors have a
+            thirtieth of their strength; True: the two front ones. The motors keep their order, so
+            that a policy can be carried over.
         integrator: MuJoCo's. ``RK4`` is that of the original, at under a third of the speed.
+
+    Raises:
+        ValueError: there is no such leg.
     """
 
     horizon = 500
@@ -76,9 +81,15 @@ class Ant(Task):
     splits = ("train", "validation", "test")
 
     def __init__(
-        self, *, disabled: bool = False, integrator: Literal["Euler", "RK4"] = "Euler"
+        self,
+        *,
+        disabled: bool | Sequence[int] = False,
+        integrator: Literal["Euler", "RK4"] = "Euler",
     ) -> None:
-        self._disabled = disabled
+        legs = _FRONT_LEGS if disabled is True else disabled or ()
+        if unknown := sorted(set(legs) - set(_LEGS)):
+            raise ValueError(f"there is no leg {unknown}; legs are {list(_LEGS)}")
+        self._disabled_legs = tuple(legs)
         self._integrator = integrator
         forward, backward = self.task_set("train")["direction"]
         self.parameter_bounds = {"direction": (backward, forward)}
@@ -88,9 +99,8 @@ class Ant(Task):
         spec = mujoco.MjSpec.from_file(str(_XML))
         if self._integrator == "RK4":
             spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-        if self._disabled:
-            for leg in _DISABLED_LEGS:
-                _disable(spec, leg)
+        for leg in self._disabled_legs:
+            _disable(spec, leg)
         return spec
 
     def task_set(self, split: str) -> dict[str, Tensor]:
@@ -186,6 +196,9 @@ def _disable(spec: mujoco.MjSpec, leg: int) -> None:
 VARIANTS: dict[str, Callable[[], Ant]] = {
     "normal": Ant,
     "disabled": functools.partial(Ant, disabled=True),
+    "disabled_left": functools.partial(Ant, disabled=(2, 3)),
+    "disabled_diagonal": functools.partial(Ant, disabled=(1, 3)),
+    "disabled_one": functools.partial(Ant, disabled=(2,)),
     "normal_rk4": functools.partial(Ant, integrator="RK4"),
     "disabled_rk4": functools.partial(Ant, disabled=True, integrator="RK4"),
 }

@@ -34,7 +34,7 @@ from pemirl_lab.runs.own_task import OwnTask, load_make_env
 from pemirl_lab.runs.places import data_file, run_file
 from pemirl_lab.runs.run_folder import RunFolder, say
 from pemirl_lab.runs.settings import Settings
-from pemirl_trl import Adaptation, ContextPolicy, DemonstrationDataset, PEMIRLModel
+from pemirl_trl import Adaptation, DemonstrationDataset, PEMIRLModel
 from pemirl_trl.configuration import CHECKED
 from pemirl_trl.files import load_weights, read_metadata, save_weights
 from pemirl_trl.methods import (
@@ -47,6 +47,7 @@ from pemirl_trl.methods import (
 from pemirl_trl.methods.defaults import found_for_adaptation, table
 from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.loop import Method
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.pretrained import load_model
 
 
@@ -57,7 +58,7 @@ class Own:
     model_file: str
 
 
-def run(settings: Settings, own: Own) -> ContextPolicy:
+def run(settings: Settings, own: Own) -> Policy:
     """Adapt in the folder that the settings name."""
     folder = RunFolder.of(settings)
     model = load_model(folder.reads("model", run_file(own.model_file, "meta_train")))
@@ -97,7 +98,11 @@ def run_own(task: OwnEnvironment) -> Adaptation:
 
     choose = "initial_policy" not in task.settings
     result = adapt_in_stages(
-        *(model, data, make_env, config, stage), seed=task.seed, choose_start=choose, settings=found
+        *(model, data, make_env, config, stage),
+        seed=task.seed,
+        choose_start=choose,
+        settings=found,
+        observation_keys=task.observation_keys,
     )
     file = folder.file("policy.safetensors")
     facts = {"environment": task.env, "env_steps": str(result.env_steps)}
@@ -118,7 +123,7 @@ def adapt(
     environment_name: str | None = None,
     stage: str = "adaptation",
     true_reward: bool = False,
-) -> tuple[ContextPolicy, int]:
+) -> tuple[Policy, int]:
     """Train a policy on the learned reward under the test environment's dynamics.
 
     Args:
@@ -178,7 +183,7 @@ def _objective(
     return None, keys, dataclasses.replace(optimization, imitate_best=0.0)
 
 
-def load_adapted(file: Path, model: PEMIRLModel) -> tuple[ContextPolicy, int]:
+def load_adapted(file: Path, model: PEMIRLModel) -> tuple[Policy, int]:
     """The policy of a file that :func:`adapt` wrote, and the environment steps it took.
 
     Raises:

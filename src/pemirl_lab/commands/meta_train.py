@@ -8,7 +8,7 @@
 
 With ``env=`` it is an environment of your own: the settings follow from the demonstrations, any of
 them can be given (``training.iterations=100``), and ``preset=`` is one of the library's (robust,
-contrastive with ``task_space=[0,1]``, paper, bounded).
+contrastive with ``task_space=[0,1]``, paper).
 
 Writes ``model.safetensors`` and, where the method has contexts, ``meta_il.safetensors`` (Meta-IL:
 a baseline, and what initialises the encoder) to ``run_dir``.
@@ -91,7 +91,10 @@ def run_own(task: OwnEnvironment) -> PEMIRLModel:
         folder.train(name, method, show="meta_il/loss_imitation" if name == "meta-il" else LEARNED)
 
     model = meta_train_in_stages(
-        make_env, data, config, stage, seed=task.seed, task_space=task.task_space
+        *(make_env, data, config, stage),
+        seed=task.seed,
+        task_space=task.task_space,
+        observation_keys=task.observation_keys,
     )
     steps = config.contexts_per_batch * config.training.rollouts_per_context * data.horizon
     facts = {"method": task.preset, "env_steps": str(steps * config.training.iterations)}

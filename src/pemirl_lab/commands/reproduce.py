@@ -28,6 +28,7 @@ from pemirl_lab.commands import collect_demos
 from pemirl_lab.commands.adapt_reward import adapt
 from pemirl_lab.commands.meta_train import load_demonstrations, meta_train, train_meta_il
 from pemirl_lab.measuring.behaviours import behaviour_measures
+from pemirl_lab.measuring.candidates import of_model
 from pemirl_lab.measuring.learned_rewards import ReportConfig, measure_reward
 from pemirl_lab.measuring.scores import Scorer, context_measures, load_test_demonstrations
 from pemirl_lab.results import Result, Score, environment_facts, read
@@ -83,7 +84,9 @@ def run(settings: Settings, own: Own) -> Result | None:
         reward |= behaviour_measures(settings, model)
     if own.measure_reward:
         with folder.timed("reward_report"):
-            report = measure_reward(settings, ReportConfig(), model, demonstrations)
+            report = measure_reward(
+                settings, ReportConfig(), of_model(model, demonstrations), demonstrations
+            )
             reward |= report.summary()
     stages = sorted(file.stem for file in folder.file("curves").glob("*.json"))
     result = Result(

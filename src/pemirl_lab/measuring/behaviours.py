@@ -42,10 +42,10 @@ def behaviour_measures(settings: Settings, model: PEMIRLModel) -> dict[str, floa
         rollouts = evaluation_episodes(
             settings, settings.test_environment, actor, of_tasks(tasks, episodes), len(tasks)
         )
-        learned = _mean_reward(model, contexts, rollouts["observation"], episodes)
+        learned = _mean_reward(model, contexts, rollouts, episodes)
         measures[f"behaviour/{label}"] = float(learned.mean())
         if label == "expert":
-            others = _mean_reward(model, contexts.roll(1, 0), rollouts["observation"], episodes)
+            others = _mean_reward(model, contexts.roll(1, 0), rollouts, episodes)
             measures["behaviour/expert_other_task"] = float(others.mean())
         learned_returns.append(learned)
         true_returns.append(rollouts["next", "reward"].sum((1, 2)))
@@ -54,8 +54,10 @@ def behaviour_measures(settings: Settings, model: PEMIRLModel) -> dict[str, floa
 
 
 def _mean_reward(
-    model: PEMIRLModel, contexts: Tensor, observation: Tensor, episodes: int
+    model: PEMIRLModel, contexts: Tensor, rollouts: TensorDictBase, episodes: int
 ) -> Tensor:
-    """r(s, m), mean per step ``[rollouts]``, of so many rollouts per context."""
+    """What adaptation would maximise, mean per step ``[rollouts]``, of so many per context."""
+    scored = rollouts.select("observation", "action")  # r reads no next observation
     m = contexts.repeat_interleave(episodes, 0).unsqueeze(1)
-    return model.reward.reward(observation, m.expand(*observation.shape[:-1], -1)).mean((1, 2))
+    scored["context"] = m.expand(*scored.shape, -1)
+    return model.reward(scored)["learned_reward"].mean((1, 2))

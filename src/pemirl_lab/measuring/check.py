@@ -3,8 +3,9 @@
     pemirl check my_demonstrations.safetensors
     pemirl check my_demonstrations.safetensors --environment point_maze/left
 
-One line for each thing that is suspicious, with its cure: constant features, duplicates, actions
-far outside their bounds, jumps, resets inside an episode, mixed sampling, too few demonstrations.
+First their lengths; then one line for each thing that is suspicious, with its cure: constant
+features, duplicates, actions far outside their bounds, jumps, resets inside an episode, mixed
+sampling, too few demonstrations, short ones of which nobody says why.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def main(arguments: Sequence[str]) -> None:
         parser.exit(2, f"pemirl check: {error}\n")
     d = demonstrations
     say(
-        f"{given.file}: {len(d)} demonstrations of {d.horizon} steps, {d.observation_dim} "
+        f"{given.file}: {len(d)} demonstrations of {_lengths(d)}, {d.observation_dim} "
         f"observed numbers, {d.action_dim} actions; made by: {d.provenance.command}"
     )
     for finding in findings:
@@ -45,3 +46,15 @@ def main(arguments: Sequence[str]) -> None:
         say("nothing suspicious")
     if any(finding.severity == "error" for finding in findings):
         sys.exit(1)
+
+
+def _lengths(demonstrations: DemonstrationDataset) -> str:
+    """How many steps they have, and how the shorter ones came to their end."""
+    d, lengths = demonstrations, demonstrations.lengths
+    if d.length is None:
+        return f"{d.horizon} steps"
+    low, high, middle = int(lengths.min()), int(lengths.max()), float(lengths.float().median())
+    return (
+        f"{low} to {high} steps (median {middle:g}; {int(d.ended.sum())} ended by themselves "
+        f"before T = {d.horizon}, {int(d.cut.sum())} were cut)"
+    )

@@ -1,6 +1,7 @@
 """What one demonstration asks for: its context, its distance from the training family, its reward.
 
     pemirl infer model_file=runs/my_run/model.safetensors demonstration=one.safetensors
+    pemirl infer model_file=point_maze demonstration=data/point_maze_test.safetensors index=0
 
 Prints m with its posterior deviation, how far the demonstration is from those of training, and
 r(s, m) along the demonstration.
@@ -15,11 +16,11 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 from pemirl_lab.runs.own_task import parse_words
-from pemirl_lab.runs.places import data_file, run_file
+from pemirl_lab.runs.places import data_file
 from pemirl_lab.runs.run_folder import say
 from pemirl_trl import DemonstrationDataset, infer
 from pemirl_trl.configuration import CHECKED, Index
-from pemirl_trl.pretrained import load_model
+from pemirl_trl.sharing import load_reward
 
 _SHOWN = 11  # steps of the demonstration, from the first to the last
 
@@ -29,7 +30,7 @@ class Words:
     """The values of this command.
 
     Attributes:
-        model_file: of ``pemirl meta_train``.
+        model_file: of ``pemirl meta_train`` or ``pemirl export_reward``, or a name of the zoo.
         demonstration: a file of demonstrations.
         index: which of them, where there are several.
     """
@@ -46,13 +47,14 @@ def main(arguments: Sequence[str]) -> None:
         return
     try:
         words = parse_words(arguments, Words)
-        model = load_model(run_file(words.model_file, "meta_train"))
+        reward = load_reward(words.model_file)
         one = _chosen(DemonstrationDataset.load(data_file(words.demonstration)), words)
-        inference = infer(model, one)
+        inference = infer(reward, one)
     except (FileNotFoundError, ValueError) as error:
         sys.exit(f"pemirl infer: {error}")
     say(str(inference))
-    say(_along(inference.reward(one.observation[0, :-1]).squeeze(-1)))
+    steps = one.observation[0, : int(one.lengths[0])]
+    say(_along(inference.reward(steps).squeeze(-1)))
 
 
 def _chosen(demonstrations: DemonstrationDataset, words: Words) -> DemonstrationDataset:

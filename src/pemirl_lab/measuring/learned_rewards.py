@@ -1,4 +1,4 @@
-"""How close a learned reward is to the true one, where that is a function of a position."""
+"""How close a reward is to the true one, on a domain of this package."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 import pemirl_envs
+from pemirl_lab.measuring.candidates import Candidate
 from pemirl_lab.measuring.experts import load_expert
 from pemirl_lab.measuring.rollouts import evaluation_episodes, of_tasks, true_reward_module
 from pemirl_lab.runs.settings import Settings
-from pemirl_trl import DemonstrationDataset, PEMIRLModel
+from pemirl_trl import DemonstrationDataset
 from pemirl_trl.configuration import CHECKED, Count
 from pemirl_trl.evaluation import (
     Actor,
@@ -21,8 +22,6 @@ from pemirl_trl.evaluation import (
     RewardReport,
     position_grid,
     reward_report,
-    shaped_reward_of,
-    state_reward_of,
 )
 from pemirl_trl.evaluation.reward_quality import Bounds
 
@@ -48,28 +47,31 @@ class ReportConfig:
 def measure_reward(
     settings: Settings,
     report: ReportConfig,
-    model: PEMIRLModel,
+    candidate: Candidate,
     demonstrations: DemonstrationDataset,
     coverage: Mapping[str, TensorDictBase] | None = None,
 ) -> RewardReport:
-    """Measure r alone and the shaped f of one demonstration per task, under the test dynamics.
+    """Measure a candidate's rewards under the test dynamics.
+
+    On a planar task the true reward is a function of a position, so that EPIC and maps are there.
 
     Args:
         settings: of the run.
         report: what is measured.
-        model: whose reward and encoder.
+        candidate: what is measured.
         demonstrations: one per task, with the tasks.
         coverage: of :func:`coverage_of`, where it is there already.
     """
     if coverage is None:
-        coverage = coverage_of(settings, report.episodes, model, demonstrations)
+        coverage = coverage_of(settings, report.episodes, candidate.context, demonstrations)
+    planar = settings.planar
     return reward_report(
-        rewards_of(model),
-        true_reward(settings.test_environment),
+        candidate.rewards,
+        true_reward(settings.test_environment) if planar else None,
         coverage,
-        gamma=model.reward.gamma,
-        positions=grid(settings, report.resolution)[1],
-        goals=demonstrations.tasks()["goal"],
+        gamma=candidate.gamma,
+        positions=grid(settings, report.resolution)[1] if planar else None,
+        goals=demonstrations.tasks()["goal"] if planar else None,
         epic_transitions=report.epic_transitions,
         epic_samples=report.epic_samples,
         features=report.features,
@@ -78,16 +80,16 @@ def measure_reward(
 
 
 def coverage_of(
-    settings: Settings, episodes: int, model: PEMIRLModel, demonstrations: DemonstrationDataset
+    settings: Settings, episodes: int, context: Tensor, demonstrations: DemonstrationDataset
 ) -> dict[str, TensorDictBase]:
     """Transitions ``[C, episodes * T]`` under the test dynamics, with ``context`` and ``task``.
 
-    Of uniformly random actions; of the expert's mean actions; and every second one of both.
+    Of uniformly random actions; of the expert's mean actions; and every second one of both. Of
+    each task, ``context`` ``[C, D]`` goes with it.
     """
     tasks = demonstrations.tasks()
     with torch.no_grad(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.evaluation.seed)
-        context = model.encoder.get_dist(demonstrations.trajectories()).mean  # [C, D]
         actor = load_expert(settings.expert_file(settings.test_environment))
         random = _transitions(settings, episodes, None, tasks, context)
         expert = _transitions(settings, episodes, actor, tasks, context)
@@ -120,11 +122,6 @@ def true_reward(name: str) -> RewardFunction:
         return module(transitions.select(*module.in_keys))["learned_reward"].squeeze(-1)
 
     return reward
-
-
-def rewards_of(model: PEMIRLModel) -> dict[str, RewardFunction]:
-    """R and f of a model, by these names."""
-    return {"r": state_reward_of(model.reward), "f": shaped_reward_of(model.reward)}
 
 
 def grid(settings: Settings, cells: int) -> tuple[Bounds, Tensor]:

@@ -12,8 +12,9 @@ from pemirl_lab.measuring.rollouts import evaluation_episodes, of_demonstrations
 from pemirl_lab.results import Score
 from pemirl_lab.runs.places import data_file
 from pemirl_lab.runs.settings import Settings, variant
-from pemirl_trl import ContextPolicy, DemonstrationDataset, PEMIRLModel
+from pemirl_trl import DemonstrationDataset, PEMIRLModel
 from pemirl_trl.evaluation import Actor, linear_probe, returns_per_task
+from pemirl_trl.modules.model import Policy
 
 
 def load_test_demonstrations(settings: Settings) -> DemonstrationDataset:
@@ -66,7 +67,7 @@ class Scorer:
         rollouts = evaluation_episodes(self.settings, environment, actor, transform, len(tasks))
         return returns_per_task(rollouts, episodes)
 
-    def returns(self, environment: str, model: PEMIRLModel, policy: ContextPolicy) -> Tensor:
+    def returns(self, environment: str, model: PEMIRLModel, policy: Policy) -> Tensor:
         """True returns ``[tasks]`` of a policy that reads the contexts of the demonstrations."""
         episodes, count = self.settings.evaluation.episodes, len(self.demonstrations)
         transform = of_demonstrations(model, self.demonstrations, episodes)
@@ -78,7 +79,7 @@ class Scorer:
         setting: str,
         environment: str,
         model: PEMIRLModel,
-        policy: ContextPolicy,
+        policy: Policy,
         env_steps: Mapping[str, int],
     ) -> list[Score]:
         """Scores of a policy under some dynamics, one for each set of goals."""

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from pemirl_trl.evaluation.reward_quality import Bounds
 from pemirl_trl.files import atomic_path
 
-__all__ = ["learning_curve", "reward_maps", "reward_scatter", "save_figure"]
+__all__ = ["learning_curve", "measures_of_tasks", "reward_maps", "reward_scatter", "save_figure"]
 
 _REFERENCE_STYLES = ("--", ":", "-.")
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito
@@ -154,6 +154,36 @@ def reward_scatter(
         axes.spines[["top", "right"]].set_visible(False)
     grid[0].set_ylabel("learned reward")
     grid[-1].legend(frameon=False, fontsize=8, markerscale=3)
+    return figure
+
+
+def measures_of_tasks(measures: Mapping[str, Mapping[str, ArrayLike]]) -> Figure:
+    """Draw each metric's value of every task, a column of dots per reward and coverage.
+
+    Args:
+        measures: metric (a panel) to what was measured (a column) to ``[C]``.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if not measures or not all(measures.values()):
+        raise ValueError(
+            f"got measures { ({k: list(v) for k, v in measures.items()}) }; expected some"
+        )
+    figure = Figure(figsize=(3.2 * len(measures) + 0.4, 3.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(1, len(measures), squeeze=False)[0]
+    for axes, (metric, columns) in zip(grid, measures.items(), strict=True):
+        for x, (name, values) in enumerate(columns.items()):
+            values = np.asarray(values, float)
+            spread = np.linspace(-0.2, 0.2, len(values)) if len(values) > 1 else np.zeros(1)
+            colour = _COLOURS[x % len(_COLOURS)]
+            axes.plot(x + spread, values, "o", color=colour, markersize=3, alpha=0.6, label=name)
+            axes.plot([x - 0.3, x + 0.3], [values.mean()] * 2, color="black", linewidth=1.5)
+        axes.set(title=metric)
+        axes.set_xticks(range(len(columns)), list(columns), rotation=30, ha="right", fontsize=8)
+        axes.grid(alpha=0.25, axis="y")
+        axes.spines[["top", "right"]].set_visible(False)
     return figure
 
 

@@ -21,7 +21,7 @@ PANELS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("q(m | demonstration), nats", ("context/information", "context/kl", "meta_il/kl")),
     ("log q(m | rollout), nats", ("log_q",)),
     ("spread explained by m", ("context/in_reward", "context/in_return")),
-    ("policy: deviation", ("policy/scale",)),
+    ("policy: deviation", ("policy/scale", "policy/learned_scale")),
     ("policy: step accepted", ("trpo/accepted",)),
     ("policy: KL of the step, nats", ("trpo/kl",)),
     ("steps far outside", ("outside/share", "outside/rewarded")),

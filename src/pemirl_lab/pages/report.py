@@ -30,6 +30,7 @@ from pemirl_lab.pages.benchmark_tables import benchmark_parts
 from pemirl_lab.pages.comparison import interval_plot, stage_curves
 from pemirl_lab.pages.convergence import Stage, convergence_table
 from pemirl_lab.pages.figures import save_figure
+from pemirl_lab.pages.gap import gap_table
 from pemirl_lab.pages.health_tables import health_parts
 from pemirl_lab.pages.own_tasks import own_task_parts
 from pemirl_lab.pages.tables import (
@@ -43,6 +44,7 @@ from pemirl_lab.pages.tables import (
     scores_of,
     seeds_table,
 )
+from pemirl_lab.pages.transfer_table import transfer_parts
 from pemirl_lab.results import Result, read_all
 from pemirl_lab.runs.composition import plain
 from pemirl_lab.runs.places import CHECKOUT
@@ -129,6 +131,7 @@ KINDS: Mapping[str, Callable[..., str | Drawing | None]] = {
     "returns": returns_table,
     "seeds": seeds_table,
     "improvement": improvement_table,
+    "gap": gap_table,
     "reward": reward_table,
     "cost": cost_table,
     "convergence": _convergence,
@@ -163,6 +166,8 @@ def generate(root: Path) -> Pages:
         pages.parts.setdefault(page, {}).update(benchmark_parts(root / "results/benchmarks", names))
     for page, names in values.get("own_tasks", {}).items():
         pages.parts.setdefault(page, {}).update(own_task_parts(root / "results/own_tasks", names))
+    for page, names in values.get("transfer", {}).items():
+        pages.parts.setdefault(page, {}).update(transfer_parts(root / "results/transfer", names))
     for page, names in values.get("health", {}).items():
         pages.parts.setdefault(page, {}).update(health_parts(root / "results/health", names))
     return pages

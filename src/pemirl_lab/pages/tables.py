@@ -29,8 +29,10 @@ __all__ = [
     "by_seed",
     "cost_table",
     "improvement_table",
+    "interval_text",
     "markdown_table",
     "millions",
+    "parse_markdown_table",
     "provenance",
     "returns_table",
     "reward_table",
@@ -173,8 +175,8 @@ def improvement_table(results: Sequence[Result], column: Column, baseline: str, 
         cells = [MISSING, MISSING]
         if differences:
             above = sum(difference > 0 for difference in differences)
-            cells = [_interval(seeds_interval(differences)), f"{above} of {len(differences)}"]
-        lines.append([label, _interval(chance), *cells])
+            cells = [interval_text(seeds_interval(differences)), f"{above} of {len(differences)}"]
+        lines.append([label, interval_text(chance), *cells])
     chance_heading = f"P(better than {rows[baseline]})"
     heading = [column.heading, chance_heading, "difference by seed", "better on seeds"]
     return markdown_table(heading, lines)
@@ -193,7 +195,7 @@ def reward_table(results: Sequence[Result], measures: Mapping[str, str], rows: R
         rewards = [r.reward for r in by_seed(results, row).values() if r.reward]
         if rewards:
             found = ([r[name] for r in rewards if name in r] for name in measures)
-            cells = [_interval(seeds_interval(v), 3) if v else MISSING for v in found]
+            cells = [interval_text(seeds_interval(v), 3) if v else MISSING for v in found]
             lines.append([label, str(len(rewards)), *cells])
     return markdown_table(["", "seeds", *measures.values()], lines)
 
@@ -241,11 +243,19 @@ def provenance(results: Sequence[Result], rows: Rows) -> str:
 
 
 def markdown_table(heading: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown; empty without lines."""
+    """A table in Markdown, whose cells may hold bars; empty without lines."""
     if not lines:
         return ""
     table = [heading, ["---"] * len(heading), *lines]
-    return "".join(f"| {' | '.join(line)} |\n" for line in table)
+    escaped = ((cell.replace("|", r"\|") for cell in line) for line in table)
+    return "".join(f"| {' | '.join(line)} |\n" for line in escaped)
+
+
+def parse_markdown_table(text: str) -> list[list[str]]:
+    """The cells of :func:`markdown_table`, the heading first; empty where there is no table."""
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    cells = [re.split(r"(?<!\\) \| ", line[2:-2]) for line in lines]
+    return [[cell.replace(r"\|", "|") for cell in line] for line in cells[:1] + cells[2:]]
 
 
 def millions(steps: float) -> str:
@@ -258,7 +268,8 @@ def millions(steps: float) -> str:
 # --- cells -------------------------------------------------------------------------------------
 
 
-def _interval(interval: Interval, digits: int = 2) -> str:
+def interval_text(interval: Interval, digits: int = 2) -> str:
+    """``estimate [low, high]``; the estimate alone where there is no interval."""
     estimate, low, high = (f"{value:z.{digits}f}" for value in interval)
     return estimate if math.isnan(interval.low) else f"{estimate} [{low}, {high}]"
 
@@ -269,7 +280,7 @@ def _return_cell(scores: Mapping[int, Score], seeds: int) -> str:
     normalised = seeds_interval([score.normalised for score in scores.values()]).estimate
     few = f", {len(scores)} of {seeds} seeds" if len(scores) < seeds else ""
     interval = seeds_interval([score.mean for score in scores.values()])
-    return f"{_interval(interval)} ({normalised:z.3f}{few})"
+    return f"{interval_text(interval)} ({normalised:z.3f}{few})"
 
 
 def _paper_cell(paper: Mapping[str, Sequence[float]], row: str) -> str:

@@ -29,6 +29,7 @@ class OwnTask:
         env: ``"my_module:make_env"``; see :data:`pemirl_trl.methods.MakeEnv`.
         run_dir: where the run writes; the same command resumes it.
         seed, logger, checkpoint_every: as in the other commands.
+        observation_keys: which entries of what it observes make the observation, in this order.
         settings: of the library, by their dotted names: what is none of the values above.
     """
 
@@ -37,6 +38,7 @@ class OwnTask:
     seed: SeedNumber = 0
     logger: Literal["csv", "tensorboard"] | None = "csv"
     checkpoint_every: Count = 25
+    observation_keys: Sequence[str] | None = None
     settings: dict[str, Any] = field(default_factory=dict)
 
     def folder(self) -> RunFolder:
@@ -95,9 +97,23 @@ def load_make_env(name: str) -> Callable[[int, int], Any]:
     Raises:
         ValueError: there is no such module or function; says where it was looked for.
     """
+    return load_function(name, "env", "make_env")
+
+
+def load_function(name: str, word: str, example: str = "function") -> Callable[..., Any]:
+    """The function that ``"my_module:function"`` names; modules of the working directory count.
+
+    Args:
+        name: as it was given, as the value of ``word``.
+        word: of the command line, for the message.
+        example: what a function is called there.
+
+    Raises:
+        ValueError: there is no such module or function; says where it was looked for.
+    """
     module_name, colon, function = name.partition(":")
     if not (module_name and colon and function):
-        raise ValueError(f"env={name}: expected module:function, such as my_module:make_env")
+        raise ValueError(f"{word}={name}: expected module:function, such as my_module:{example}")
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.insert(0, here)
@@ -107,12 +123,12 @@ def load_make_env(name: str) -> Callable[[int, int], Any]:
         if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
             raise  # a module that the user's own imports
         raise ValueError(
-            f"env={name}: no module {module_name} in {here} or among what is installed"
+            f"{word}={name}: no module {module_name} in {here} or among what is installed"
         ) from error
-    make_env = getattr(module, function, None)
-    if not callable(make_env):
+    found = getattr(module, function, None)
+    if not callable(found):
         there = [k for k, v in vars(module).items() if callable(v) and not k.startswith("_")]
         raise ValueError(
-            f"env={name}: {module.__file__} has no function {function}; it has {sorted(there)}"
+            f"{word}={name}: {module.__file__} has no function {function}; it has {sorted(there)}"
         )
-    return make_env
+    return found

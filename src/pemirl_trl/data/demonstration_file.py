@@ -17,6 +17,7 @@ __all__ = ["read_demonstrations", "write_demonstrations"]
 
 _KIND = "demonstrations"
 _SCHEMA_VERSION = 1
+_OPTIONAL = ("length", "terminated")
 _HEADER = {"schema_version": int, "episodes": int, "horizon": int, "provenance": dict}
 
 
@@ -26,6 +27,8 @@ def write_demonstrations(
     action: Tensor,
     task: TensorDictBase | None,
     provenance: Provenance,
+    length: Tensor | None = None,
+    terminated: Tensor | None = None,
 ) -> None:
     """Write one safetensors file, atomically.
 
@@ -33,11 +36,14 @@ def write_demonstrations(
         path: the file.
         observation: ``[M, T+1, S]``; action: ``[M, T, A]``; task: batch_size ``[M]`` or None.
         provenance: where they come from.
+        length, terminated: ``[M]``, or None.
 
     Raises:
         OSError: it cannot be written; the message names the file and says what to do.
     """
     tensors = {"observation": observation, "action": action}
+    ends = {"length": length, "terminated": terminated}
+    tensors |= {name: value for name, value in ends.items() if value is not None}
     if task is not None:
         tensors |= {f"task.{k}": v for k, v in task.flatten_keys(".").items()}
     header = {
@@ -51,7 +57,7 @@ def write_demonstrations(
 
 def read_demonstrations(
     path: str | Path,
-) -> tuple[Tensor, Tensor, TensorDictBase | None, Provenance]:
+) -> tuple[Tensor, Tensor, TensorDictBase | None, Provenance, Tensor | None, Tensor | None]:
     """Read what :func:`write_demonstrations` wrote, in the order of its arguments.
 
     Raises:
@@ -74,7 +80,9 @@ def read_demonstrations(
             f"{path} states {header['episodes']} episodes of {header['horizon']} steps, "
             f"but its actions are {tuple(action.shape)}"
         )
-    return observation, action, _task(tensors, len(action), path), provenance
+    length, terminated = (tensors.pop(name, None) for name in _OPTIONAL)
+    task = _task(tensors, len(action), path)
+    return observation, action, task, provenance, length, terminated
 
 
 def _check_names(tensors: Mapping[str, Tensor], path: str | Path) -> None:
@@ -82,13 +90,13 @@ def _check_names(tensors: Mapping[str, Tensor], path: str | Path) -> None:
     missing = sorted(schema - tensors.keys())
     unknown = sorted(
         name
-        for name in tensors.keys() - schema
+        for name in tensors.keys() - schema - {*_OPTIONAL}
         if not name.startswith("task.") or "" in name.split(".")
     )
     if missing or unknown:
         raise ValueError(
             f"{path} lacks the tensors {missing} and has unknown ones {unknown[:8]}; expected "
-            "observation, action and task.<name>"
+            "observation, action, length, terminated and task.<name>"
         )
 
 

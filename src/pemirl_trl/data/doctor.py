@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from pemirl_trl.data.demonstrations import DemonstrationDataset
+from pemirl_trl.data.lengths import steps_after
 from pemirl_trl.data.validation import episode_names
 
 __all__ = ["Finding", "examine"]
@@ -73,11 +74,23 @@ def examine(dataset: DemonstrationDataset, action_bounds: Bounds | None = None) 
             may exceed them, since an environment clips; far outside is suspicious.
 
     Raises:
-        ValueError: the bounds are not of the actions' dimension, or the lower is not the lower.
+        ValueError: the bounds are not of the actions' dimension, the lower is not the lower, or
+            actions are discrete and have none.
     """
+    discrete = dataset.discrete
+    if discrete and action_bounds is not None:
+        raise ValueError(
+            f"got action_bounds {action_bounds}, but the actions are {dataset.action_dim} choices; "
+            "expected None"
+        )
     bounds = None if action_bounds is None else _checked_bounds(action_bounds, dataset.action_dim)
     findings = [finding for check in _CHECKS for finding in check(dataset)]
-    findings += _unbounded_scale(dataset) if bounds is None else _bounded_scale(dataset, *bounds)
+    if discrete:
+        findings += _unused_choices(dataset)
+    else:
+        findings += (
+            _unbounded_scale(dataset) if bounds is None else _bounded_scale(dataset, *bounds)
+        )
     return sorted(findings, key=lambda finding: finding.severity != "error")
 
 
@@ -117,6 +130,13 @@ def _varying(dataset: DemonstrationDataset) -> Tensor:
     return dataset.observation.double()[..., varies] / deviation[varies]
 
 
+def _demonstrated(dataset: DemonstrationDataset, values: Tensor) -> Tensor:
+    """``[M, T, F]`` without padding, as rows ``[..., F]``."""
+    if dataset.length is None:
+        return values.flatten(0, 1)
+    return values[~steps_after(dataset.length, dataset.horizon)]
+
+
 # --- checks ------------------------------------------------------------------------------------
 
 
@@ -126,8 +146,20 @@ def _few(dataset: DemonstrationDataset) -> Iterator[Finding]:
         yield Finding("warning", "few demonstrations", f"{len(dataset)} in all", cure)
 
 
+def _unexplained_ends(dataset: DemonstrationDataset) -> Iterator[Finding]:
+    short = int(dataset.ended.sum())
+    if short and dataset.terminated is None:
+        what = "lengths differ, and nobody says whether the short ones ended or were cut"
+        where = f"{short} are shorter than {dataset.horizon} steps, and count as ended"
+        cure = "say so: from_episodes(..., terminated=True), or False, or one for each"
+        yield Finding("warning", what, where, cure)
+
+
 def _constant(dataset: DemonstrationDataset) -> Iterator[Finding]:
-    for name, values in (("observation", dataset.observation), ("action", dataset.action)):
+    values_of = {"observation": dataset.observation}
+    if not dataset.discrete:  # of choices, one that is never taken is no constant to leave out
+        values_of["action"] = dataset.action
+    for name, values in values_of.items():
         flat = values.double().flatten(0, 1).std(0, correction=0) <= CONSTANT
         if flat.any():
             cure = "leave it out, unless it varies elsewhere"
@@ -169,11 +201,14 @@ def _off_by_one(dataset: DemonstrationDataset) -> Iterator[Finding]:
     """Padding at an end of every episode, where the step beside it is none."""
     still = (dataset.observation.diff(dim=1) == 0).all(-1)  # [M, T]
     idle = (dataset.action == 0).all(-1)  # [M, T]
-    if dataset.horizon < 3:
+    last = dataset.lengths - 1
+    if int(last.min()) < 2:
         return
+    first = torch.zeros_like(last)
+    rows = torch.arange(len(last), device=last.device)
     for pattern, what in ((idle, "action is all zero"), (still, "step changes nothing")):
-        for end, beside, name in ((-1, -2, "last"), (0, 1, "first")):
-            if pattern[:, end].all() and pattern[:, beside].double().mean() < 0.5:
+        for end, beside, name in ((last, last - 1, "last"), (first, first + 1, "first")):
+            if pattern[rows, end].all() and pattern[rows, beside].double().mean() < 0.5:
                 yield Finding(
                     "error",
                     f"the {name} {what}, as if padded or misaligned by one",
@@ -215,7 +250,8 @@ def _jumps(dataset: DemonstrationDataset) -> Iterator[Finding]:
 def _mixed_rates(dataset: DemonstrationDataset) -> Iterator[Finding]:
     if len(dataset) < RATE_EPISODES:
         return
-    steps = _varying(dataset).diff(dim=1).square().mean((1, 2)).sqrt()  # [M]
+    squares = _varying(dataset).diff(dim=1).square().mean(2).sum(1)  # padding does not move
+    steps = (squares / dataset.lengths).sqrt()  # [M]
     ordered, order = steps.clamp(min=1e-12).log().sort()
     gaps = ordered.diff()[1:-1]  # two episodes at least on either side
     gap, split = float(gaps.max()), int(gaps.argmax()) + 2
@@ -232,8 +268,17 @@ def _mixed_rates(dataset: DemonstrationDataset) -> Iterator[Finding]:
         )
 
 
+def _unused_choices(dataset: DemonstrationDataset) -> Iterator[Finding]:
+    """Discrete actions that nobody takes."""
+    taken = dataset.action.sum((0, 1)) > 0
+    if not taken.all():
+        unused = [i for i, used in enumerate(taken.tolist()) if not used]
+        cure = "check the number of actions and the order in which they are counted"
+        yield Finding("warning", "discrete actions that are never taken", f"{unused}", cure)
+
+
 def _unbounded_scale(dataset: DemonstrationDataset) -> Iterator[Finding]:
-    scale = dataset.action.double().square().mean((0, 1)).sqrt()
+    scale = _demonstrated(dataset, dataset.action).double().square().mean(0).sqrt()
     odd = (scale > LARGEST_ACTION) | ((scale < SMALLEST_ACTION) & (scale > 0))
     if odd.any():
         worst = ", ".join(f"{float(s):.2g}" for s in scale[odd][:5])
@@ -243,8 +288,9 @@ def _unbounded_scale(dataset: DemonstrationDataset) -> Iterator[Finding]:
 
 def _bounded_scale(dataset: DemonstrationDataset, low: Tensor, high: Tensor) -> Iterator[Finding]:
     relative = (dataset.action.cpu() - (low + high) / 2) / ((high - low) / 2)  # [M, T, A]
-    scale = relative.double().square().mean((0, 1)).sqrt()
-    outside = (scale > OUTSIDE_RMS) | (relative.abs().amax((0, 1)) > OUTSIDE_ONCE)
+    rows = _demonstrated(dataset, relative)
+    scale = rows.double().square().mean(0).sqrt()
+    outside = (scale > OUTSIDE_RMS) | (rows.abs().amax(0) > OUTSIDE_ONCE)
     if outside.any():
         episodes = (relative.abs() > OUTSIDE_RMS).any(2).any(1).nonzero().flatten()
         where = f"{_numbers(outside)} in {episode_names(episodes)}"
@@ -260,6 +306,7 @@ _CHECKS: tuple[Callable[[DemonstrationDataset], Iterator[Finding]], ...] = (
     _off_by_one,
     _resets,
     _few,
+    _unexplained_ends,
     _duplicates,
     _constant,
     _badly_scaled,

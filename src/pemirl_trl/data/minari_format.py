@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -33,44 +34,52 @@ def _import_minari() -> tuple[Any, Any]:
 
 def write_minari(
     dataset_id: str,
-    observation: Tensor,
-    action: Tensor,
+    pairs: Sequence[tuple[Tensor, Tensor]],
+    terminated: Sequence[bool],
     task: TensorDictBase | None,
     metadata: dict[str, Any],
+    *,
+    choices: int | None = None,
     **described: Any,
 ) -> None:
     """Create the local Minari dataset ``dataset_id`` of M episodes.
 
     Args:
         dataset_id: ``(namespace/)(environment/)name-v<version>``.
-        observation: ``[M, T+1, S]``; action: ``[M, T, A]``; task: batch_size ``[M]`` or None.
+        pairs: ``(observation [L+1, S], action [L, A])`` of each episode.
+        terminated: whether it ended by itself; otherwise it is written as truncated.
+        task: batch_size ``[M]`` or None.
         metadata: JSON mapping, stored under one key of the dataset's metadata.
+        choices: n, of actions that are indices ``[M, T]``; None: they are vectors.
         described: passed on to ``minari.create_dataset_from_buffers`` (``author``,
             ``author_email``, ``code_permalink``, ``algorithm_name``, ``description``, ...).
     """
     minari, spaces = _import_minari()
-    episodes, horizon = action.shape[:2]
-    truncated = np.arange(horizon) == horizon - 1  # episodes end by time only
     buffers = [
         minari.data_collector.EpisodeBuffer(
             id=i,
             options=None if task is None else {"task": task[i].to_dict(convert_tensors="numpy")},
-            observations=observation[i].numpy(),
-            actions=action[i].numpy(),
-            rewards=np.full(horizon, np.nan),
-            terminations=np.zeros(horizon, dtype=bool),
-            truncations=truncated,
+            observations=observation.numpy(),
+            actions=action.numpy(),
+            rewards=np.full(len(action), np.nan),
+            terminations=_last(len(action), ended),
+            truncations=_last(len(action), not ended),
         )
-        for i in range(episodes)
+        for i, ((observation, action), ended) in enumerate(zip(pairs, terminated, strict=True))
     ]
+    observation, action = pairs[0]
     with warnings.catch_warnings():
         # One warning per descriptive field left out; they matter for a public upload only.
         warnings.filterwarnings("ignore", category=UserWarning, module="minari")
         dataset = minari.create_dataset_from_buffers(
             dataset_id,
             buffers,
-            observation_space=spaces.Box(-np.inf, np.inf, observation.shape[2:], np.float32),
-            action_space=spaces.Box(-np.inf, np.inf, action.shape[2:], np.float32),
+            observation_space=spaces.Box(-np.inf, np.inf, observation.shape[1:], np.float32),
+            action_space=(
+                spaces.Box(-np.inf, np.inf, action.shape[1:], np.float32)
+                if choices is None
+                else spaces.Discrete(choices)
+            ),
             **described,
         )
     dataset.storage.update_metadata({_METADATA_KEY: json.dumps(metadata)})
@@ -78,28 +87,37 @@ def write_minari(
 
 def read_minari(
     dataset_id: str,
-) -> tuple[list[tuple[NDArray[Any], NDArray[Any]]], TensorDictBase | None, dict[str, Any] | None]:
+) -> tuple[
+    list[tuple[Any, NDArray[Any]]],
+    list[bool],
+    TensorDictBase | None,
+    dict[str, Any] | None,
+    int | None,
+]:
     """Read the local Minari dataset ``dataset_id``, written by anyone.
 
     Returns:
-        ``(observation [T+1, S], action [T, A])`` per episode, as stored; the task parameters with
-        batch_size ``[M]``, if every episode has some; the metadata of :func:`write_minari`, if any.
+        ``(observation [L+1, S], action [L, A])`` per episode, as stored (an observation may be a
+        dictionary of arrays; actions of n choices are ``[L]``, from 0); whether each ended by
+        itself; the task parameters with batch_size ``[M]``, if every episode has some; the metadata
+        of :func:`write_minari`, if any; and n.
 
     Raises:
         ImportError: the ``minari`` extra is not installed.
-        ValueError: observations or actions are not plain arrays.
+        ValueError: observations or actions are neither of these.
     """
     minari, spaces = _import_minari()
     dataset = minari.load_dataset(dataset_id)
-    for space in (dataset.observation_space, dataset.action_space):
-        if not isinstance(space, spaces.Box):
-            raise ValueError(
-                f"{dataset_id} has the space {space}; expected Boxes of observations and actions"
-            )
-    episodes = [
-        (np.asarray(episode.observations), np.asarray(episode.actions))
-        for episode in dataset.iterate_episodes()
-    ]
+    observed, acted = dataset.observation_space, dataset.action_space
+    if not isinstance(observed, spaces.Box | spaces.Dict):
+        raise ValueError(f"{dataset_id} observes {observed}; expected a Box, or a Dict of Boxes")
+    if not isinstance(acted, spaces.Box | spaces.Discrete):
+        raise ValueError(f"{dataset_id} has the actions {acted}; expected a Box or Discrete")
+    choices = int(acted.n) if isinstance(acted, spaces.Discrete) else None
+    first = 0 if choices is None else int(acted.start)
+    stored = list(dataset.iterate_episodes())
+    episodes = [(one.observations, np.asarray(one.actions) - first) for one in stored]
+    ended = [bool(np.any(one.terminations)) for one in stored]
     facts = dataset.storage.get_episode_metadata(dataset.episode_indices)
     tasks = [fact.get("options", {}).get("task") for fact in facts]
     task = (
@@ -108,7 +126,14 @@ def read_minari(
         else None
     )
     raw = dataset.storage.metadata.get(_METADATA_KEY)
-    return episodes, task, None if raw is None else json.loads(raw)
+    return episodes, ended, task, None if raw is None else json.loads(raw), choices
+
+
+def _last(steps: int, value: bool) -> NDArray[np.bool_]:
+    """Flags of so many steps, the last one ``value`` and the others False."""
+    flags = np.zeros(steps, dtype=bool)
+    flags[-1] = value
+    return flags
 
 
 def _to_tensors(nested: dict[str, Any]) -> dict[str, Any]:

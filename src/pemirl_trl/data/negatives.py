@@ -17,6 +17,7 @@ NEGATIVE_KEYS: tuple[NestedKey, ...] = (
     "context",
     "action_log_prob",
 )
+"""What is kept of a rollout: all that a discriminator and its batches read."""
 
 
 def gather_steps(trajectories: TensorDictBase, rows: Tensor, times: Tensor) -> TensorDict:
@@ -94,6 +95,7 @@ class Negatives:
         *,
         steps: int | None = None,
         last: int | None = None,
+        lengths: Tensor | None = None,
         generator: torch.Generator | None = None,
     ) -> TensorDict:
         """Draw trajectories uniformly, with replacement, from the last iterations.
@@ -102,6 +104,7 @@ class Negatives:
             n: How many trajectories.
             steps: How many time steps of each, drawn uniformly with replacement; None: all T.
             last: From how many iterations back, at most ``capacity``; None: all that are held.
+            lengths: ``[n]``: of how many of its first steps ``steps`` are drawn; None: of all T.
             generator: on the CPU; None means torch's global one.
 
         Returns:
@@ -123,6 +126,9 @@ class Negatives:
         if steps is None:
             return flat[rows]
         times = torch.randint(horizon, (n, steps), generator=generator).to(self._device)
+        if lengths is not None:
+            shares = torch.rand((n, steps), generator=generator).to(self._device)
+            times = (shares * lengths.unsqueeze(-1)).long()
         return gather_steps(flat, rows, times)
 
     def state_dict(self) -> dict[str, Tensor]:

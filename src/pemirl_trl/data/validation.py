@@ -8,6 +8,8 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from pemirl_trl.data.lengths import check_lengths, pad_episodes
+
 __all__ = ["check_demonstrations", "check_finite", "episode_names", "stack_episodes"]
 
 
@@ -45,13 +47,20 @@ def _check_task(task: TensorDictBase, episodes: int) -> None:
         check_finite(f"task entry {key!r}", value)
 
 
-def check_demonstrations(observation: Tensor, action: Tensor, task: TensorDictBase | None) -> None:
+def check_demonstrations(
+    observation: Tensor,
+    action: Tensor,
+    task: TensorDictBase | None,
+    length: Tensor | None = None,
+    terminated: Tensor | None = None,
+) -> None:
     """Raise ValueError unless the three obey the schema of :class:`DemonstrationDataset`.
 
     Args:
         observation: ``[M, T+1, S]`` float32.
         action: ``[M, T, A]`` float32.
         task: ground truth with batch_size ``[M]``, or None.
+        length, terminated: ``[M]``, int64 and boolean, or None.
     """
     for name, value, shape in (("observation", observation, "T+1, S"), ("action", action, "T, A")):
         if not isinstance(value, Tensor):
@@ -77,17 +86,21 @@ def check_demonstrations(observation: Tensor, action: Tensor, task: TensorDictBa
         )
     check_finite("observation", observation)
     check_finite("action", action)
+    check_lengths(length, terminated, (episodes, horizon))
     if task is not None:
         _check_task(task, episodes)
 
 
-def stack_episodes(episodes: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
-    """Stack ``(observation [T+1, S], action [T, A])`` pairs to ``[M, T+1, S]`` and ``[M, T, A]``.
+def stack_episodes(
+    episodes: Sequence[tuple[Tensor, Tensor]],
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Stack ``(observation [L+1, S], action [L, A])`` pairs to ``[M, T+1, S]`` and ``[M, T, A]``.
 
-    The first episode says what T, S and A are.
+    The first episode says what S and A are, the longest T. Shorter ones are padded: with their last
+    observation, and with actions of 0. The third is the lengths L, ``[M]``.
 
     Raises:
-        ValueError: no episodes, an off-by-one, mixed horizons or mixed dimensions.
+        ValueError: no episodes, an off-by-one or mixed dimensions.
     """
     if not episodes:
         raise ValueError("got no episodes; expected a list of (observation, action) pairs")
@@ -96,7 +109,8 @@ def stack_episodes(episodes: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, T
         shapes = [tuple(x.shape) for x in episodes[flat[0]]]
         raise ValueError(
             f"{episode_names(flat)}: got observation and action of shapes {shapes[0]} and "
-            f"{shapes[1]}; expected [T+1, S] and [T, A]"
+            f"{shapes[1]}; expected [T+1, S] and [T, A] (for integers [T] that are choices, "
+            "discrete_actions says how many there are)"
         )
     uneven = [i for i, (o, a) in enumerate(episodes) if len(o) != len(a) + 1]
     if uneven:
@@ -105,15 +119,15 @@ def stack_episodes(episodes: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, T
             f"{episode_names(uneven)}: {len(observation)} observations for {len(action)} actions; "
             "expected T+1 for T, the last one being what the last action led to"
         )
-    first = episodes[0]
-    for axis, what in ((0, "length"), (1, "dimension")):
-        expected = [x.shape[axis] for x in first]
-        odd = [i for i, pair in enumerate(episodes) if [x.shape[axis] for x in pair] != expected]
-        if odd:
-            got = [x.shape[axis] for x in episodes[odd[0]]]
-            raise ValueError(
-                f"{episode_names(odd)}: observation and action have {what} {got[0]} and {got[1]}; "
-                f"expected {expected[0]} and {expected[1]} as in episode 0 (one fixed horizon)"
-            )
+    sizes = [x.shape[1] for x in episodes[0]]
+    odd = [i for i, pair in enumerate(episodes) if [x.shape[1] for x in pair] != sizes]
+    if odd:
+        got = [x.shape[1] for x in episodes[odd[0]]]
+        raise ValueError(
+            f"{episode_names(odd)}: observation and action have dimension {got[0]} and {got[1]}; "
+            f"expected {sizes[0]} and {sizes[1]} as in episode 0"
+        )
     observations, actions = zip(*episodes, strict=True)
-    return torch.stack(observations), torch.stack(actions)
+    length = torch.tensor([len(action) for action in actions])
+    observation = pad_episodes(observations, repeat=True)
+    return observation, pad_episodes(actions, repeat=False), length

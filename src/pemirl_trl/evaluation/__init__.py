@@ -12,6 +12,7 @@ from pemirl_trl.evaluation.reward_distance import (
     canonicalise_epic,
     canonicalise_feasible,
     epic_distance,
+    evaluate_reward,
     feasible_distance,
     independent_samples,
     pearson_distance,
@@ -43,6 +44,7 @@ from pemirl_trl.evaluation.statistics import (
     spearman,
     t_interval,
 )
+from pemirl_trl.evaluation.task_space import held_out_information
 
 __all__ = [
     "Actor",
@@ -56,7 +58,9 @@ __all__ = [
     "distance_to_goal",
     "epic_distance",
     "episode_returns",
+    "evaluate_reward",
     "feasible_distance",
+    "held_out_information",
     "independent_samples",
     "iqm",
     "iqm_interval",

@@ -69,13 +69,28 @@ class RewardReport:
             summary[f"{name}/mean"], summary[f"{name}/worst"] = _mean_and_worst(measure, values)
         return summary
 
-    def markdown(self) -> str:
-        """A table of means over tasks, the worst task's in parentheses."""
+    def table(self) -> list[list[str]]:
+        """A head, and rows of means over tasks, the worst task's in parentheses."""
         places = dict.fromkeys((measure.reward, measure.where) for measure in self.per_task)
-        lines = [["reward", "on", *_COLUMNS.values()], ["---"] * (len(_COLUMNS) + 2)]
+        lines = [["reward", "on", *_COLUMNS.values()]]
         for place in places:
             measures = (Measure(*place, metric) for metric in _COLUMNS)
             lines.append([*place, *(self._cell(measure) for measure in measures)])
+        return lines
+
+    def by_metric(self) -> dict[str, dict[str, Tensor]]:
+        """Heading of each metric to what was measured, such as ``r on expert``, to ``[C]``."""
+        found: dict[str, dict[str, Tensor]] = {}
+        for metric, heading in _COLUMNS.items():
+            for measure, values in self.per_task.items():
+                if measure.metric == metric:
+                    found.setdefault(heading, {})[f"{measure.reward} on {measure.where}"] = values
+        return found
+
+    def markdown(self) -> str:
+        """The table as Markdown."""
+        head, *rows = self.table()
+        lines = [head, ["---"] * len(head), *rows]
         return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
     def _cell(self, measure: Measure) -> str:
@@ -87,7 +102,7 @@ class RewardReport:
 
 def reward_report(
     rewards: Mapping[str, RewardFunction],
-    true: RewardFunction,
+    true: RewardFunction | None,
     coverage: Mapping[str, TensorDictBase],
     *,
     gamma: float,
@@ -110,7 +125,8 @@ def reward_report(
 
     Args:
         rewards: by name, such as r and f of one model.
-        true: the true reward, where EPIC asks for those of transitions that never happened.
+        true: the true reward, where EPIC asks for those of transitions that never happened; None
+            leaves EPIC out.
         coverage: by name, transitions ``[C, B]``, see
             :data:`~pemirl_trl.evaluation.reward_distance.RewardFunction`. Where they hold
             ``("next", "reward")``, that is the true reward of what happened. B must be at least
@@ -125,7 +141,8 @@ def reward_report(
         seed: of the draws.
 
     Raises:
-        ValueError: no coverage, a coverage named ``map``, or one of positions and goals alone.
+        ValueError: no coverage, a coverage named ``map``, or one of positions and goals alone; or
+            neither a true reward nor stored ones.
     """
     if not coverage or "map" in coverage or (positions is None) != (goals is None):
         raise ValueError(
@@ -167,7 +184,7 @@ def shaped_reward_of(module: ShapedReward) -> RewardFunction:
 
 def _on_transitions(
     rewards: Mapping[str, RewardFunction],
-    true: RewardFunction,
+    true: RewardFunction | None,
     transitions: TensorDictBase,
     epic: Callable[[RewardFunction], Tensor],
     basis: Callable[[Tensor], Tensor],
@@ -177,7 +194,7 @@ def _on_transitions(
 
     ``epic`` gives a reward's canonical form, ``basis`` the functions that potentials are made of.
     """
-    truth, true_form = _true_rewards(true, transitions), epic(true)
+    truth, true_form = _true_rewards(true, transitions), None if true is None else epic(true)
     here, there = transitions["observation"], transitions["next", "observation"]
     shaping = shaping_subspace(basis(here), basis(there), gamma)
     measured: dict[tuple[str, str], Tensor] = {}
@@ -186,15 +203,19 @@ def _on_transitions(
         measured |= {
             (name, "spearman"): spearman(values, truth),
             (name, "pearson"): pearson(values, truth),
-            (name, "epic"): pearson_distance(epic(reward), true_form),
-            (name, "feasible"): feasible_distance(values, truth, shaping),
         }
+        if true_form is not None:
+            measured[name, "epic"] = pearson_distance(epic(reward), true_form)
+        measured[name, "feasible"] = feasible_distance(values, truth, shaping)
     return measured
 
 
-def _true_rewards(true: RewardFunction, transitions: TensorDictBase) -> Tensor:
+def _true_rewards(true: RewardFunction | None, transitions: TensorDictBase) -> Tensor:
     stored = transitions.get(("next", "reward"), None)
-    return evaluate_reward(true if stored is None else (lambda _: stored), transitions)
+    reward = true if stored is None else (lambda _: stored)
+    if reward is None:
+        raise ValueError("got no true reward, and transitions without ('next', 'reward')")
+    return evaluate_reward(reward, transitions)
 
 
 def _mean_and_worst(measure: Measure, values: Tensor) -> tuple[float, float]:

@@ -1,5 +1,6 @@
 """Files that are whole or absent, say what they are, and are read without unpickling."""
 
+from pemirl_trl.files.cards import Card, parse_card
 from pemirl_trl.files.headers import check_fields, parse_json
 from pemirl_trl.files.staging import (
     atomic_path,
@@ -20,6 +21,7 @@ from pemirl_trl.files.weights import (
 )
 
 __all__ = [
+    "Card",
     "atomic_path",
     "check_fields",
     "expanded",
@@ -27,6 +29,7 @@ __all__ = [
     "has_live_owner",
     "load_weights",
     "misfits",
+    "parse_card",
     "parse_json",
     "read_metadata",
     "read_tensors",

@@ -7,6 +7,7 @@ from pemirl_trl.functional.airl import (
     policy_reward,
     shaped_reward,
 )
+from pemirl_trl.functional.categorical import mixed_with_uniform
 from pemirl_trl.functional.diagnostics import (
     channel_information,
     dependence_on_context,
@@ -34,6 +35,7 @@ __all__ = [
     "kl_to_standard_normal",
     "logit_expert",
     "mixed_with_prior",
+    "mixed_with_uniform",
     "normalized_within_context",
     "policy_reward",
     "ridge_prediction",

@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 PolicyReward = Literal["state", "shaped", "score"]
+"""What the policy maximises, see :func:`policy_reward`."""
 
 
 def shaped_reward(

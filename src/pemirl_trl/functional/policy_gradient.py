@@ -32,17 +32,27 @@ def discounted_return(reward: Tensor, gamma: float) -> Tensor:
     return returns
 
 
-def standardize(values: Tensor, dim: int | None = None, eps: float = 1e-8) -> Tensor:
+def standardize(
+    values: Tensor, dim: int | None = None, eps: float = 1e-8, *, mask: Tensor | None = None
+) -> Tensor:
     """Shift and scale to zero mean and unit deviation; constants become 0.
 
     Args:
         values: any shape.
         dim: along which; None: over all elements.
         eps: added to the deviation, in its units.
+        mask: of the shape of ``values``: which of them count; the others become 0.
 
     Returns:
         As ``values``, in deviations.
     """
+    if mask is not None:
+        weight = mask.to(values.dtype)
+        count = weight.sum(dim, keepdim=True).clamp(min=1)
+        mean = (weight * values).sum(dim, keepdim=True) / count
+        centred = weight * (values - mean)
+        deviation = (centred.square().sum(dim, keepdim=True) / count).sqrt()
+        return centred / (deviation + eps)
     centred = values - values.mean(dim, keepdim=True)
     return centred / (centred.square().mean(dim, keepdim=True).sqrt() + eps)
 

@@ -26,19 +26,23 @@ def time_polynomial_features(observation: Tensor) -> Tensor:
     return torch.cat([observation, observation.square(), powers], -1)
 
 
-def ridge_prediction(features: Tensor, target: Tensor, ridge: float = 1e-5) -> Tensor:
+def ridge_prediction(
+    features: Tensor, target: Tensor, ridge: float = 1e-5, *, mask: Tensor | None = None
+) -> Tensor:
     r"""Fit w = (X'X + ridge B I)^-1 X'y for each problem of a batch, and return X w.
 
     Args:
         features: ``[M, B, F]``, M problems of B rows.
         target: ``[M, B]``.
         ridge: penalty per row; keeps the system regular where features coincide.
+        mask: ``[M, B]``, the rows that are fitted to; the prediction is of all.
 
     Returns:
         ``[M, B]``.
     """
-    gram = features.mT @ features
+    fitted = features if mask is None else features * mask.unsqueeze(-1).to(features.dtype)
+    gram = fitted.mT @ features
     penalty = ridge * features.shape[1] * torch.eye(gram.shape[-1]).to(gram)
-    moment = features.mT @ target.unsqueeze(-1)
+    moment = fitted.mT @ target.unsqueeze(-1)
     weights = torch.linalg.solve(gram + penalty, moment)
     return (features @ weights).squeeze(-1)

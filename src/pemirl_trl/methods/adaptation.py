@@ -9,7 +9,8 @@ from pydantic.dataclasses import dataclass
 
 from pemirl_trl.configuration import CHECKED, Count, Positive
 from pemirl_trl.methods.policy_optimization import PolicyOptimizationConfig
-from pemirl_trl.modules import ContextPolicy, PEMIRLModel
+from pemirl_trl.modules import PEMIRLModel
+from pemirl_trl.modules.model import Policy
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -21,7 +22,7 @@ class AdaptationConfig:
         initial_policy: ``"fresh"`` (the paper) or ``"trained"``: the one that meta-training ended
             with.
         policy_activation: of a fresh one.
-        policy_scale: the deviation at the start.
+        policy_scale: the deviation at the start; of discrete actions, the uniform share.
         learn_policy_scale: whether it is learned; ``optimization.final_scale`` forces it.
         optimization: of the policy.
     """
@@ -36,8 +37,16 @@ class AdaptationConfig:
     )
 
 
-def initial_policy(model: PEMIRLModel, config: AdaptationConfig) -> tuple[ContextPolicy, str]:
-    """The policy that adaptation starts from, and the activation of its hidden layers."""
+def initial_policy(model: PEMIRLModel, config: AdaptationConfig) -> tuple[Policy, str]:
+    """The policy that adaptation starts from, and the activation of its hidden layers.
+
+    Raises:
+        ValueError: a deviation that no policy of discrete actions can have, or that it would learn.
+    """
+    model.config.check_scale("policy_scale", config.policy_scale)
+    model.config.check_scale("final_scale", config.optimization.final_scale)
+    if config.learn_policy_scale and model.config.actions == "discrete":
+        raise ValueError("learn_policy_scale is true; a policy of discrete actions learns none")
     scale, learned = config.policy_scale, config.learn_policy_scale
     if config.initial_policy == "trained":
         return model.trained_policy(scale, learn_scale=learned), "relu"

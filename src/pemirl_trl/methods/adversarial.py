@@ -25,6 +25,7 @@ from pemirl_trl.methods.discriminator_batches import BatchConfig, DiscriminatorB
 from pemirl_trl.methods.schedule import AnnealedScale, log_linear
 from pemirl_trl.methods.trpo import TRPO, TRPOConfig
 from pemirl_trl.modules import PEMIRLModel, ShapedReward
+from pemirl_trl.modules.reading import acted_steps
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -35,7 +36,8 @@ class PolicyConfig:
         trpo: of one update.
         imitation_coeff: weight of the demonstrations' log-likelihood per step, in nats; 0 is off.
         final_imitation_coeff: to which that weight grows; None holds it.
-        final_scale: to which the policy's deviation shrinks; None leaves it to the policy.
+        final_scale: to which the policy's deviation shrinks (of discrete actions, the uniform
+            share); None leaves it to the policy.
         anneal_begin, anneal_finish: shares of the iterations between which weight and deviation
             move, log-linearly. An extension of the paper: the reward is learned against an
             exploring policy, and the policy that is kept acts precisely.
@@ -169,6 +171,9 @@ class AdaptiveSampler:
             first.shape,
         ).reshape(-1)
         action = demonstrations["action"].flatten(0, 1)
+        acted = acted_steps(demonstrations)
+        if acted is not None:
+            batch, action = batch[acted.flatten()], action[acted.flatten()]
 
         def loss() -> Tensor:
             log_prob = self.policy.get_dist(batch.copy()).log_prob(action)

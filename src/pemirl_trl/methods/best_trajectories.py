@@ -11,9 +11,10 @@ from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
-from pemirl_trl.modules import ContextPolicy
+from pemirl_trl.modules.model import Policy
+from pemirl_trl.modules.reading import acted_steps
 
-_KEPT = ("observation", "action")
+_KEPT = ("observation", "action", "absorbing")  # the last where episodes end early
 _STRIDE = 4  # steps between those that are scored: a ranking needs no more, and it is all the cost
 
 
@@ -86,6 +87,8 @@ class BestTrajectories:
         best, row = cross_returns(self.reward, rollouts[:, ::_STRIDE], tasks).max(1)
         candidate = tasks.set("return", best)
         for key in _KEPT:
+            if key not in rollouts:
+                continue
             candidate.set(key, rollouts[key][row])
         if self.action_bounds is not None:
             candidate["action"] = candidate["action"].clamp(*self.action_bounds)
@@ -100,11 +103,12 @@ class BestTrajectories:
             "best/from_other_tasks": float((better & foreign).float().mean()),
         }
 
-    def loss(self, policy: ContextPolicy, coeff: float) -> Callable[[], Tensor]:
+    def loss(self, policy: Policy, coeff: float) -> Callable[[], Tensor]:
         """() -> coeff/2 E |mu(s, m) - a|^2 over the steps of the best trajectories.
 
         The log-likelihood times the policy's variance: as the policy becomes precise, imitation
-        gives way to the reward, whose gradient then grows.
+        gives way to the reward, whose gradient then grows. Of discrete actions mu are the
+        probabilities, and this is half of Brier's score: as proper as the likelihood, and bounded.
         """
         if self._best is None:
             raise RuntimeError("no trajectories yet: call update first")
@@ -113,6 +117,9 @@ class BestTrajectories:
         for key in self.task_keys:
             batch.set(key, self._best[key].unsqueeze(1).expand(*steps, -1))
         batch, action = batch.reshape(-1), self._best["action"].flatten(0, 1)
+        acted = acted_steps(self._best)
+        if acted is not None:
+            batch, action = batch[acted.flatten()], action[acted.flatten()]
 
         def loss() -> Tensor:
             error = policy.get_dist(batch.copy()).mean - action

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, TypeVar
 
+import torch
 from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from pemirl_trl.methods.requirements import check_environment
-from pemirl_trl.modules import ContextPolicy
+from pemirl_trl.methods.sampling import sampler_of
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.transforms import InferContext
 
 Transformed = TypeVar("Transformed", bound=Transform)
@@ -31,16 +33,16 @@ class EpisodeCollector:
         ValueError: the environment is not one that the policy can act in.
     """
 
-    def __init__(self, env: EnvBase, policy: ContextPolicy, horizon: int) -> None:
+    def __init__(self, env: EnvBase, policy: Policy, horizon: int) -> None:
         check_environment(env, policy, horizon)
         self.horizon = horizon
         self.frames = env.batch_size[0] * horizon
-        self.env = env
+        self.env, self._policy = env, policy
         self.env_steps = 0
         self._knows_tasks = all(t.knows_tasks for t in _transforms(env, InferContext))
         self._collector = Collector(
             env,
-            policy,
+            sampler_of(policy),
             frames_per_batch=self.frames,
             total_frames=-1,
             device=env.device,  # said outright, it saves a copy of every step's data
@@ -51,14 +53,22 @@ class EpisodeCollector:
         self._batches: Iterator[TensorDictBase] = iter(self._collector)
 
     def __call__(self) -> TensorDictBase:
-        """Collect rollouts ``[N, T]``; raise if they are not whole episodes."""
+        """Collect rollouts ``[N, T]``; raise if they are not whole episodes.
+
+        Where a step begins in an absorbing state, the action is set to 0, since none was taken, and
+        its log-density to minus the policy's entropy: what the policy's own draw has on average.
+        """
         rollouts = next(self._batches)
         done = rollouts.get(("next", "done"))
         if rollouts.shape[-1] != self.horizon or done[:, :-1].any() or not done[:, -1].all():
             raise ValueError(
                 f"expected episodes that all end at step {self.horizon}, got ends at steps "
-                f"{sorted((done.squeeze(-1).nonzero()[:, 1] + 1).unique().tolist())}"
+                f"{sorted((done.squeeze(-1).nonzero()[:, 1] + 1).unique().tolist())}. Episodes "
+                "that end by themselves need AbsorbingState and a model that knows of ends "
+                "(model.absorbing=true); a time limit is that of the demonstrations"
             )
+        if "absorbing" in rollouts and rollouts["absorbing"].any():
+            _settle(rollouts, self._policy)
         self.env_steps += self.frames
         return rollouts
 
@@ -87,6 +97,15 @@ class EpisodeCollector:
         self.env_steps = int(state["env_steps"])
         if "rng" in state:
             _unwrapped(self.env).set_rng_state(state["rng"])
+
+
+@torch.no_grad()
+def _settle(rollouts: TensorDictBase, policy: Policy) -> None:
+    """Let steps that begin in an absorbing state look alike, whoever's they are."""
+    absorbing = rollouts["absorbing"]
+    rollouts["action"][absorbing] = 0
+    inputs = rollouts.select(*policy.in_keys)[absorbing]
+    rollouts["action_log_prob"][absorbing] = -policy.get_dist(inputs).entropy()
 
 
 def _transforms(env: EnvBase, kind: type[Transformed]) -> Iterator[Transformed]:

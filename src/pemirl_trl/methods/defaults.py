@@ -12,13 +12,14 @@ from typing import Any
 
 from pemirl_trl.configuration import typed
 from pemirl_trl.data import DemonstrationDataset
+from pemirl_trl.data.lengths import steps_after
 from pemirl_trl.methods.adaptation import AdaptationConfig
 from pemirl_trl.methods.meta_training import METHODS, TRAINING, MethodConfig
 from pemirl_trl.modules import PEMIRLModel
+from pemirl_trl.modules.model import ActionKind
 
 PRESETS: Mapping[str, str] = {
     "paper": "pemirl",
-    "bounded": "pemirl_bounded",
     "robust": "pemirl_robust",
     "contrastive": "pemirl_contrastive",
 }
@@ -31,6 +32,11 @@ ADAPTATION_STEPS = 1_300_000
 STEPS_PER_ITERATION = 40_000
 LEAST_ITERATIONS = 50
 """A trust-region method needs its steps, however long the episodes are."""
+
+UNIFORM_SHARE, FINAL_UNIFORM_SHARE = 0.3, 0.03
+"""Of discrete actions, the share that is drawn uniformly while r takes shape, and at the end."""
+ADAPTATION_SHARES = (0.5, 0.02)
+"""The same at the start and at the end of adaptation."""
 
 Values = Mapping[str, Any]
 
@@ -90,19 +96,29 @@ def found_for_meta_training(
     rollouts = _given(given, ("training", "rollouts_per_context"), _between(envs // 50, 4, 16))
     contexts = _given(given, ("contexts_per_batch",), min(50, count, max(1, envs // rollouts)))
     steps = contexts * rollouts * horizon
-    scale = action_size(demonstrations)
+    kind = _kind(given, demonstrations)
+    scale = action_size(demonstrations) if kind == "continuous" else UNIFORM_SHARE
     training: dict[str, Any] = {
         "iterations": max(LEAST_ITERATIONS, round(META_TRAINING_STEPS / steps)),
         "rollouts_per_context": rollouts,
         "batch": {"time_steps": _between(horizon // 10, 5, 50)},
     }
     if preset in ("robust", "contrastive"):
-        training["policy"] = {"final_scale": 0.3 * scale}
+        final = 0.3 * scale if kind == "continuous" else FINAL_UNIFORM_SHARE
+        training["policy"] = {"final_scale": final}
     if preset == "robust":
         # As Meta-IL made them, contexts stay what r was learned for.
         training |= {"info_coeff": 0.0, "encoder_lr": 0.0}
+    model: dict[str, Any] = {"policy_scale": scale}
+    if kind != "continuous":
+        model["actions"] = kind
+    if demonstrations.ended.any():
+        model["absorbing"] = True
+    if demonstrations.cut.any():
+        model["encoder"] = "attention"  # the flat one reads all of T
     return {
-        "model": {"policy_scale": scale},
+        "model": model,
+        **({} if kind == "continuous" else {"learn_policy_scale": False}),
         "meta_il": {
             # The evidence bound's own is 1 / T. On short episodes that is so much that m says
             # nothing for the first thousand steps; a smaller one was never seen to harm.
@@ -121,15 +137,20 @@ def found_for_adaptation(
     horizon, count = demonstrations.horizon, len(demonstrations)
     least = _between(round(18_000 / horizon), 60, 400)
     rollouts = _given(overrides or {}, ("rollouts",), count * max(4, round(least / count)))
-    scale = model.config.policy_scale
+    iterations = max(LEAST_ITERATIONS, round(ADAPTATION_STEPS / (rollouts * horizon)))
+    if model.config.actions == "discrete":
+        first, final, imitate_best = ADAPTATION_SHARES[0], ADAPTATION_SHARES[1], 1.0
+    else:
+        scale = model.config.policy_scale
+        # imitate_best is of a squared error in units of actions, beside standardised advantages.
+        first, final, imitate_best = 3.0 * scale, 0.1 * scale, 1.0 / scale**2
     return {
         "rollouts": rollouts,
-        "policy_scale": 3.0 * scale,
+        "policy_scale": first,
         "optimization": {
-            "iterations": max(LEAST_ITERATIONS, round(ADAPTATION_STEPS / (rollouts * horizon))),
-            "final_scale": 0.1 * scale,
-            # Of a squared error in units of actions, beside standardised advantages.
-            "imitate_best": 1.0 / scale**2,
+            "iterations": iterations,
+            "final_scale": final,
+            "imitate_best": imitate_best,
         },
     }
 
@@ -143,7 +164,10 @@ def action_size(demonstrations: DemonstrationDataset) -> float:
     Raises:
         ValueError: all actions are 0.
     """
-    size = float(demonstrations.action.abs().flatten()[:1_000_000].quantile(0.95))
+    action = demonstrations.action
+    if demonstrations.length is not None:
+        action = action[~steps_after(demonstrations.length, demonstrations.horizon)]
+    size = float(action.abs().flatten()[:1_000_000].quantile(0.95))
     if size == 0.0:
         raise ValueError("the demonstrated actions are all 0; expected somebody to have acted")
     return float(f"{size:.2g}")
@@ -167,7 +191,11 @@ def table(found: Values, config: Any) -> str:
     """The settings that were found, with the values that are used, one a line."""
     rows = [(".".join(path), _read(config, path)) for path in _paths(found)]
     width = max(len(name) for name, _ in rows)
-    return "\n".join(f"{name:<{width}}  {value:g}" for name, value in rows)
+    return "\n".join(f"{name:<{width}}  {_shown(value)}" for name, value in rows)
+
+
+def _shown(value: Any) -> str:
+    return str(value) if isinstance(value, str | bool) else f"{value:g}"
 
 
 def _paths(node: Values, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -193,6 +221,15 @@ def _given(overrides: Values, path: Sequence[str], otherwise: int) -> int:
         else:
             node = node.get(name) if isinstance(node, Mapping) else None
     return node if type(node) is int and node > 0 else otherwise
+
+
+def _kind(overrides: Values, demonstrations: DemonstrationDataset) -> ActionKind:
+    """The override of ``model.actions``, else what the demonstrations hold."""
+    node: Any = overrides.get("model", {})
+    given = node.get("actions") if isinstance(node, Mapping) else getattr(node, "actions", None)
+    if given is None:
+        return "discrete" if demonstrations.discrete else "continuous"
+    return "discrete" if given == "discrete" else "continuous"
 
 
 def _between(value: int, low: int, high: int) -> int:

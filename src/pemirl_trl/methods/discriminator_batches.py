@@ -11,6 +11,7 @@ from torch import Tensor
 
 from pemirl_trl.configuration import CHECKED, Count, NonNegative, Share
 from pemirl_trl.data import Negatives
+from pemirl_trl.data.negatives import gather_steps
 from pemirl_trl.modules import PEMIRLModel
 
 NegativeLogProb = Literal["collection", "current"]
@@ -109,15 +110,15 @@ class DiscriminatorBatches:
     def _expert(self) -> TensorDict:
         c = self.config
         index = torch.randint(self.demonstrations.batch_size[0], (c.trajectories,))
-        drawn = self.demonstrations[index]
+        encoder = self.model.encoder
+        drawn = self.demonstrations.select(*encoder.in_keys, strict=False)[index]
         with torch.set_grad_enabled(self.encoder_gradient):
-            m = self.model.encoder.get_dist(drawn).rsample()  # [n, D]
-        horizon = drawn["action"].shape[1]
-        rows = torch.arange(c.trajectories).unsqueeze(-1)
+            m = encoder.get_dist(drawn).rsample()  # [n, D]
+        horizon = self.demonstrations["action"].shape[1]
         times = torch.randint(horizon, (c.trajectories, c.time_steps))
-        batch = TensorDict({}, times.shape)
-        for key in FIELDS[:-1]:
-            batch.set(key, drawn.get(key)[rows, times])
+        if "mask" in self.demonstrations:
+            times = _within(self.demonstrations["mask"][index].sum(1), times.shape)
+        batch = gather_steps(self.demonstrations.select(*FIELDS[:-1]), index, times)
         batch.set("context", m.unsqueeze(1).expand(*times.shape, -1))
         batch.set("action_log_prob", self._log_prob(batch))
         return batch.set("is_expert", _flag(times, True))
@@ -125,13 +126,22 @@ class DiscriminatorBatches:
     @torch.no_grad()
     def _log_prob(self, batch: TensorDictBase) -> Tensor:
         inputs = batch.select(*self.model.policy.in_keys)
-        return self.model.policy.get_dist(inputs).log_prob(batch["action"])
+        policy = self.model.policy.get_dist(inputs)
+        log_prob = policy.log_prob(batch["action"])
+        if not self.model.config.absorbing:
+            return log_prob
+        # After an end no action was taken. Both sides get what the policy's own would have on
+        # average: then what an end is worth does not depend on the units of actions, as densities
+        # do, nor on how precise the policy is.
+        return torch.where(batch["observation"][..., -1] > 0.5, -policy.entropy(), log_prob)
 
     def _policy(self, last: int, trajectories: int) -> TensorDict:
         c = self.config
         current = round(c.current_fraction * trajectories)
         parts = [
-            self.negatives.sample(count, steps=c.time_steps, last=reach)
+            self.negatives.sample(
+                count, steps=c.time_steps, last=reach, lengths=self._lengths(count)
+            )
             for count, reach in ((current, 1), (trajectories - current, last))
             if count > 0
         ]
@@ -141,6 +151,14 @@ class DiscriminatorBatches:
         if c.jitter_fraction > 0:
             self._jitter(batch)
         return batch.set("is_expert", _flag(batch["action_log_prob"], False))
+
+    def _lengths(self, count: int) -> Tensor | None:
+        """Lengths at which the policy's trajectories are cut, since demonstrations are: ``[n]``.
+
+        What comes after a cut nobody knows; without this, late states would be the policy's alone.
+        """
+        mask = self.demonstrations.get("mask", None)
+        return None if mask is None else mask.sum(1)[torch.randint(len(mask), (count,))]
 
     def _mismatched(self, expert: TensorDict, trajectories: int) -> TensorDict:
         """The expert's transitions, each trajectory under the context of another one.
@@ -159,8 +177,15 @@ class DiscriminatorBatches:
         scale = torch.rand(shape[0], 1, 1) * c.jitter_scale * self.model.standardize.scale
         chosen = (torch.rand(shape[0], 1, 1) < c.jitter_fraction).to(scale.dtype)
         noise = chosen * scale * torch.randn(shape)
+        if self.model.config.absorbing:
+            noise[..., -1] = 0.0  # an episode has ended, or it has not
         for key in FIELDS[:2]:
             batch.set(key, batch.get(key) + noise)
+
+
+def _within(lengths: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """Times ``[n, k]``, uniform over the first ``lengths`` ``[n]`` steps."""
+    return (torch.rand(shape) * lengths.unsqueeze(-1)).long()
 
 
 def _flag(like: Tensor, value: bool) -> Tensor:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium
+import numpy as np
 import torch
-from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper
 from torchrl.envs import (
     Compose,
     DoubleToFloat,
@@ -23,7 +24,12 @@ from torchrl.modules import RandomPolicy
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.requirements import check_environment, check_episodes
 from pemirl_trl.modules import PEMIRLModel
-from pemirl_trl.transforms import InferContext
+from pemirl_trl.transforms import (
+    AbsorbingState,
+    InferContext,
+    JoinObservations,
+    OneHotActions,
+)
 
 MakeEnv = Callable[[int, int], Any]
 """(num_envs, seed) -> a TorchRL environment of batch size ``[num_envs]``, a Gymnasium vector
@@ -33,16 +39,19 @@ _PROBED = 2  # environments of the episode that is looked at before anything is 
 
 
 class Episodes:
-    """Makes environments whose episodes last as long as the demonstrations did.
+    """Makes environments whose episodes last as long as the longest demonstration did.
 
     One episode of random actions is looked at first. An environment without a time limit of its
-    own is given one; an environment that ends otherwise is refused.
+    own is given one; where the model knows of ends, episodes that end by themselves go on to the
+    horizon in absorbing states. An environment that ends otherwise is refused.
 
     Args:
         make_env: see :data:`MakeEnv`.
         model: whose policy is to act.
         demonstrations: give the horizon.
         seed: of the episode that is looked at.
+        observation_keys: which entries of what it observes make the observation, in this order;
+            None: its ``"observation"`` is it. See :class:`pemirl_trl.JoinObservations`.
 
     Raises:
         TypeError: ``make_env`` returns something else than an environment.
@@ -55,47 +64,78 @@ class Episodes:
         model: PEMIRLModel,
         demonstrations: DemonstrationDataset,
         seed: int = 0,
+        *,
+        observation_keys: Sequence[str] | None = None,
     ) -> None:
         self._make_env, self._horizon = make_env, model.horizon
+        self._absorbing = model.config.absorbing
+        self._observation_keys = observation_keys
         with torch.random.fork_rng(devices=[]):
-            env = self._batched(_PROBED, seed)
+            env = self._whole(_PROBED, seed)
             infer = InferContext(model.encoder, demonstrations.trajectories())
             check_environment(_transformed(env, infer), model.policy, model.horizon)
             actor = RandomPolicy(env.action_spec)
             rollouts = env.rollout(model.horizon, actor, break_when_any_done=False)
-            self._limited = check_episodes(rollouts, model.horizon)
+            self._limited = check_episodes(rollouts, model.horizon, absorbing=self._absorbing)
             env.close()
 
     def __call__(self, num_envs: int, seed: int, transform: Transform) -> EnvBase:
         """Make ``num_envs`` environments, with a transform that decides what is rolled out."""
         limit = [] if self._limited else [StepCounter(self._horizon)]
-        return _transformed(self._batched(num_envs, seed), Compose(*limit, transform))
+        return _transformed(self._whole(num_envs, seed), Compose(*limit, transform))
 
-    def _batched(self, num_envs: int, seed: int) -> EnvBase:
-        env = self._torchrl(num_envs, seed)
-        if tuple(env.batch_size) != (num_envs,):
-            raise ValueError(
-                f"make_env({num_envs}, {seed}) returned an environment of batch size "
-                f"{list(env.batch_size)}; expected [{num_envs}]"
-            )
-        return _single_precision(env)
+    def _whole(self, num_envs: int, seed: int) -> EnvBase:
+        env = _batched(self._make_env, num_envs, seed, self._horizon, self._observation_keys)
+        return _transformed(env, AbsorbingState()) if self._absorbing else env
 
-    def _torchrl(self, num_envs: int, seed: int) -> EnvBase:
-        made = self._make_env(num_envs, seed)
-        if isinstance(made, gymnasium.Env):
-            others = [self._make_env(1, seed + i) for i in range(1, num_envs)]
-            makers = [lambda env=env: env for env in (made, *others)]
-            made = SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
-        if isinstance(made, VectorEnv):
-            _check_time_limit(made, self._horizon)
-            made = wrap_gymnasium(made)
-            made.set_seed(seed)
-        if not isinstance(made, EnvBase):
-            raise TypeError(
-                f"make_env({num_envs}, {seed}) returned a {type(made).__name__}; expected a "
-                "TorchRL environment (EnvBase), a Gymnasium vector environment or a single one"
-            )
-        return made
+
+def ends_early(
+    make_env: MakeEnv, horizon: int, seed: int, observation_keys: Sequence[str] | None = None
+) -> bool:
+    """Whether an episode of random actions ends by itself (``terminated``) before ``horizon``."""
+    with torch.random.fork_rng(devices=[]):
+        env = _batched(make_env, _PROBED, seed, horizon, observation_keys)
+        rollouts = env.rollout(horizon, RandomPolicy(env.action_spec), break_when_any_done=False)
+        env.close()
+    terminated = rollouts.get(("next", "terminated"), None)
+    return terminated is not None and bool(terminated[:, : horizon - 1].any())
+
+
+def _batched(
+    make_env: MakeEnv,
+    num_envs: int,
+    seed: int,
+    horizon: int,
+    observation_keys: Sequence[str] | None,
+) -> EnvBase:
+    env = _torchrl(make_env, num_envs, seed, horizon)
+    if tuple(env.batch_size) != (num_envs,):
+        raise ValueError(
+            f"make_env({num_envs}, {seed}) returned an environment of batch size "
+            f"{list(env.batch_size)}; expected [{num_envs}]"
+        )
+    if observation_keys is not None:
+        env = _transformed(env, JoinObservations(observation_keys, env))
+    one_hot = OneHotActions.of(env)
+    return _single_precision(env if one_hot is None else _transformed(env, one_hot))
+
+
+def _torchrl(make_env: MakeEnv, num_envs: int, seed: int, horizon: int) -> EnvBase:
+    made = make_env(num_envs, seed)
+    if isinstance(made, gymnasium.Env):
+        others = [make_env(1, seed + i) for i in range(1, num_envs)]
+        makers = [lambda env=env: env for env in (made, *others)]
+        made = SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+    if isinstance(made, VectorEnv):
+        _check_time_limit(made, horizon)
+        made = wrap_gymnasium(made)
+        made.set_seed(seed)
+    if not isinstance(made, EnvBase):
+        raise TypeError(
+            f"make_env({num_envs}, {seed}) returned a {type(made).__name__}; expected a "
+            "TorchRL environment (EnvBase), a Gymnasium vector environment or a single one"
+        )
+    return made
 
 
 def wrap_gymnasium(env: VectorEnv, observation_key: str = "observation") -> EnvBase:
@@ -107,8 +147,16 @@ def wrap_gymnasium(env: VectorEnv, observation_key: str = "observation") -> EnvB
         observation_key: of an observation that is a dictionary: which entry is the observation.
 
     Raises:
-        ValueError: another autoreset mode, or no such entry.
+        ValueError: another autoreset mode, no such entry, or discrete actions that are not counted
+            from 0.
     """
+    first = getattr(env.single_action_space, "start", 0)
+    if isinstance(env.single_action_space, gymnasium.spaces.Discrete) and first != 0:
+        raise ValueError(
+            f"the environment's actions are {env.single_action_space}, and TorchRL counts from 0: "
+            f"wrap it, gymnasium.wrappers.TransformAction(env, lambda action: action + {first}, "
+            f"gymnasium.spaces.Discrete({env.single_action_space.n}))"
+        )
     mode = env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
     if mode not in (AutoresetMode.DISABLED, AutoresetMode.SAME_STEP):
         raise ValueError(
@@ -116,13 +164,40 @@ def wrap_gymnasium(env: VectorEnv, observation_key: str = "observation") -> EnvB
             "SAME_STEP): gymnasium.make_vec(..., vector_kwargs={'autoreset_mode': "
             "gymnasium.vector.AutoresetMode.DISABLED})"
         )
-    wrapped = GymWrapper(env)
+    wrapped = GymWrapper(_GoOn(env) if mode == AutoresetMode.DISABLED else env)
     if observation_key in ("observation", "state"):  # TorchRL itself takes "state" for it
         return wrapped
     there = [str(key) for key in wrapped.observation_spec]
     if observation_key not in there:
         raise ValueError(f"the environment observes {there}; got observation_key={observation_key}")
     return _transformed(wrapped, RenameTransform([observation_key], ["observation"]))
+
+
+class _GoOn(VectorWrapper):
+    """Resets what has ended and is nevertheless stepped.
+
+    Gymnasium refuses or warns; :class:`pemirl_trl.AbsorbingState` never resets before T, and does
+    not look at what has ended.
+    """
+
+    def __init__(self, env: VectorEnv) -> None:
+        super().__init__(env)
+        self.autoreset_mode = AutoresetMode.DISABLED  # TorchRL asks for it
+        self._ended = np.zeros(env.num_envs, dtype=np.bool_)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        mask = None if options is None else options.get("reset_mask")
+        self._ended &= False if mask is None else ~mask
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        if self._ended.any():
+            self.env.reset(options={"reset_mask": self._ended})
+        result = self.env.step(actions)
+        self._ended = result[2] | result[3]
+        return result
 
 
 def _check_time_limit(env: VectorEnv, horizon: int) -> None:

@@ -10,8 +10,10 @@ from torch import Tensor
 from torch.distributions import Distribution
 
 from pemirl_trl.data import DemonstrationDataset
+from pemirl_trl.methods.early_ends import for_model
 from pemirl_trl.methods.own_training import as_dataset
 from pemirl_trl.modules import FamilyDistance, PEMIRLModel, ShapedReward
+from pemirl_trl.sharing import PortableReward
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,16 +30,21 @@ class Inference:
     posterior: Distribution
     context: Tensor
     distance: FamilyDistance | None
-    _model: PEMIRLModel = field(repr=False)
+    _model: PEMIRLModel | PortableReward = field(repr=False)
 
     @torch.no_grad()
     def reward(self, observation: Tensor) -> Tensor:
         """Return r(s, m) ``[..., 1]`` of states ``[..., S]``, without a unit.
 
+        Where episodes end by themselves, states are as in the environment, or with the indicator of
+        absorbing states as one component more, 1 for having ended there.
+
         Raises:
             ValueError: the states are not those of the model.
         """
         size = self._model.observation_dim
+        if self._model.config.absorbing and observation.shape[-1:] == (size - 1,):
+            observation = torch.nn.functional.pad(observation, (0, 1))
         if observation.shape[-1:] != (size,):
             raise ValueError(f"got states {list(observation.shape)}; expected [..., {size}]")
         return self._model.reward.reward(observation, self.context)
@@ -50,11 +57,13 @@ class Inference:
         return f"m = [{m}]\ndistance: {self.distance or distance}"
 
 
-def infer(model: PEMIRLModel, demonstration: DemonstrationDataset | str | Path) -> Inference:
+def infer(
+    model: PEMIRLModel | PortableReward, demonstration: DemonstrationDataset | str | Path
+) -> Inference:
     """Infer the context and the reward of one demonstration.
 
     Args:
-        model: a trained one.
+        model: a trained one, or its reward alone, of :func:`pemirl_trl.load_reward`.
         demonstration: a data set of one, or the file of it.
 
     Raises:
@@ -67,7 +76,7 @@ def infer(model: PEMIRLModel, demonstration: DemonstrationDataset | str | Path) 
             f"got {len(data)} demonstrations; expected one, such as demonstrations[0]: each has a "
             "context of its own"
         )
-    check_demonstrations(model, data)
+    data = check_demonstrations(model, data)
     with torch.no_grad():
         posterior = model.encoder.get_dist(data.trajectories())
         one = type(posterior)(type(posterior.base_dist)(posterior.mean[0], posterior.stddev[0]), 1)
@@ -78,14 +87,16 @@ def infer(model: PEMIRLModel, demonstration: DemonstrationDataset | str | Path) 
     return Inference(one, context, distance, model)
 
 
-def check_demonstrations(model: PEMIRLModel, demonstrations: DemonstrationDataset) -> None:
-    """Raise ValueError unless a model can read rewards from demonstrations."""
+def check_demonstrations(
+    model: PEMIRLModel | PortableReward, demonstrations: DemonstrationDataset
+) -> DemonstrationDataset:
+    """Return demonstrations as a model reads them; raise ValueError unless it can."""
     if model.config.context_dim == 0 or not isinstance(model.reward, ShapedReward):
         raise ValueError(
             "this model infers no reward r(s, m): expected one with contexts and reward='shaped', "
             f"got context_dim={model.config.context_dim}, reward={model.config.reward!r}"
         )
-    d = demonstrations
+    d = for_model(model, demonstrations)
     got, wanted = (
         (d.observation_dim, d.action_dim, d.horizon),
         (model.observation_dim, model.action_dim, model.horizon),
@@ -94,4 +105,12 @@ def check_demonstrations(model: PEMIRLModel, demonstrations: DemonstrationDatase
         raise ValueError(
             f"the demonstrations have (S, A, T) = {got}: observed numbers, actions and steps; this "
             f"model was trained on {wanted}"
+            + (", absorbing states and their indicator included" if d.absorbing else "")
         )
+    if model.config.actions == "discrete" and not d.discrete:
+        raise ValueError(
+            f"the demonstrated actions are vectors of real numbers; this model was trained on "
+            f"{model.action_dim} choices, one-hot: from_episodes(..., discrete_actions="
+            f"{model.action_dim}) makes such of integers"
+        )
+    return d

@@ -2,8 +2,8 @@
 
 >>> from pemirl_trl.methods import METHODS
 >>> sorted(METHODS)
-['airl', 'meta_il', 'meta_infogail', 'pemirl', 'pemirl_bounded', 'pemirl_contrastive', \
-'pemirl_no_info', 'pemirl_robust']
+['airl', 'meta_il', 'meta_infogail', 'pemirl', 'pemirl_contrastive', 'pemirl_literal', \
+'pemirl_no_info', 'pemirl_rescaled', 'pemirl_robust']
 >>> METHODS["pemirl_robust"].training.gradient_penalty_coeff
 0.1
 
@@ -56,7 +56,8 @@ class MethodConfig:
         contexts_per_batch: M, contexts per iteration (the paper's code: 50).
         initial_encoder: where q_psi starts (the paper: Meta-IL's).
         initial_policy: where pi_omega starts (the paper: fresh).
-        learn_policy_scale: whether the policy's deviation is learned, or held (and annealed).
+        learn_policy_scale: whether the policy's deviation is learned, or held (and annealed). The
+            uniform share of a policy of discrete actions never is.
         reward_average_decay: of an average of r's weights, per iteration; None is off.
         reward_reads: what of an observation r reads: all of it (the paper), or the components that
             the task is about, where somebody names them.
@@ -69,7 +70,7 @@ class MethodConfig:
     contexts_per_batch: Count = 50
     initial_encoder: Start = "meta_il"
     initial_policy: Start = "fresh"
-    learn_policy_scale: bool = False
+    learn_policy_scale: bool = True
     reward_average_decay: Decay | None = None
     reward_reads: Literal["observation", "task_space"] = "observation"
 
@@ -80,6 +81,9 @@ class MethodConfig:
                 f"algorithm {self.algorithm!r} takes a training of {expected.__name__}, got "
                 f"{type(self.training).__name__}"
             )
+        self.model.check_scale("final_scale", self.training.policy.final_scale)
+        if self.learn_policy_scale and self.model.actions == "discrete":
+            raise ValueError("learn_policy_scale is true; a policy of discrete actions learns none")
         if self.model.context_dim == 0:
             for name in ("initial_encoder", "initial_policy"):
                 if getattr(self, name) == "meta_il":
@@ -90,10 +94,13 @@ class MethodConfig:
 
 METHODS: Mapping[str, MethodConfig] = {
     "pemirl": MethodConfig(),
-    "pemirl_bounded": MethodConfig(training=PEMIRLConfig.bounded(), learn_policy_scale=True),
-    "pemirl_robust": MethodConfig(training=PEMIRLConfig.robust(), reward_average_decay=0.9),
+    "pemirl_literal": MethodConfig(training=PEMIRLConfig.literal()),
+    "pemirl_rescaled": MethodConfig(training=PEMIRLConfig.rescaled(), learn_policy_scale=False),
+    "pemirl_robust": MethodConfig(
+        training=PEMIRLConfig.robust(), learn_policy_scale=False, reward_average_decay=0.9
+    ),
     "pemirl_contrastive": MethodConfig(
-        training=PEMIRLConfig.contrastive(), reward_reads="task_space"
+        training=PEMIRLConfig.contrastive(), learn_policy_scale=False, reward_reads="task_space"
     ),
     # Adversarial IRL on the contexts of Meta-IL's encoder, which stays as it is.
     "pemirl_no_info": MethodConfig(algorithm="airl", training=AIRLConfig()),
@@ -108,11 +115,12 @@ METHODS: Mapping[str, MethodConfig] = {
         model=ModelConfig(reward="gail"),
         training=MetaInfoGAILConfig(),
         initial_policy="meta_il",
-        learn_policy_scale=True,
     ),
-    "meta_il": MethodConfig(algorithm="meta_il", training=AdversarialConfig()),
+    "meta_il": MethodConfig(
+        algorithm="meta_il", training=AdversarialConfig(), learn_policy_scale=False
+    ),
 }
-"""The paper's method, in two forms; two extensions; the baselines."""
+"""The paper's method, in three forms; two extensions; the baselines."""
 
 
 def new_model(
@@ -132,7 +140,8 @@ def new_model(
         sizes: fields of :class:`ModelConfig` to replace.
 
     Raises:
-        ValueError: r is to read the task space, and nobody said what that is.
+        ValueError: r is to read the task space, and nobody said what that is; or the model is to
+            know absorbing states, and the demonstrations have none.
     """
     if config.reward_reads == "task_space" and config.model.reward == "shaped":
         if task_space is None:
@@ -141,13 +150,24 @@ def new_model(
                 "observation the task is about (task_space), or choose reward_reads='observation'"
             )
         sizes = {"reward_features": list(task_space), **sizes}
+    if config.model.absorbing and not demonstrations.absorbing:
+        raise ValueError(
+            "a model of absorbing states (model.absorbing) needs demonstrations with such, "
+            "demonstrations.with_absorbing_states(); meta_train on an environment of one's own "
+            "does that"
+        )
     return PEMIRLModel(
         demonstrations.observation_dim,
         demonstrations.action_dim,
         demonstrations.horizon,
-        dataclasses.replace(config.model, **sizes),
-        Standardize.fit(demonstrations.trajectories()["observation"]),
+        dataclasses.replace(config.model, absorbing=demonstrations.absorbing, **sizes),
+        _map_of_observations(demonstrations.trajectories()),
     )
+
+
+def _map_of_observations(trajectories: TensorDictBase) -> Standardize:
+    observation, mask = trajectories["observation"], trajectories.get("mask", None)
+    return Standardize.fit(observation if mask is None else observation[mask])
 
 
 def start_from(model: PEMIRLModel, meta_il: PEMIRLModel | None, config: MethodConfig) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -23,8 +23,9 @@ from pemirl_trl.methods.loop import Metrics
 from pemirl_trl.methods.own_training import as_dataset, digest
 from pemirl_trl.methods.policy_optimization import PolicyOptimization
 from pemirl_trl.methods.stages import OnIteration, RunStage, stages
-from pemirl_trl.modules import ContextPolicy, PEMIRLModel
+from pemirl_trl.modules import PEMIRLModel
 from pemirl_trl.modules.family import FAR
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.transforms import InferContext
 
 LOG = logging.getLogger("pemirl_trl")
@@ -60,7 +61,7 @@ class Adaptation:
         settings: a table of those that were found from the data.
     """
 
-    policy: ContextPolicy
+    policy: Policy
     activation: str
     kept: Literal["adapted", "carried over"]
     start: Start
@@ -92,6 +93,7 @@ def adapt(
     seed: int = 0,
     on_iteration: OnIteration | None = None,
     checkpoint: str | Path | None = None,
+    observation_keys: Sequence[str] | None = None,
     **overrides: Any,
 ) -> Adaptation:
     """Train a policy on the inferred reward of each demonstration, where dynamics may have changed.
@@ -106,6 +108,7 @@ def adapt(
         seed: of everything random.
         on_iteration: called with the stage's name, the iteration (from 1) and its metrics.
         checkpoint: folder of checkpoints; the same call resumes a training that died.
+        observation_keys: as in :func:`meta_train`.
         **overrides: fields of :class:`pemirl_trl.methods.AdaptationConfig`, nested ones as
             dictionaries: ``optimization={"iterations": 100}``. With ``initial_policy`` there are no
             tries.
@@ -123,7 +126,11 @@ def adapt(
     what = f"{config} choose={choose} seed={seed} data={digest(data)}"
     run_stage = stages(on_iteration, checkpoint, hashlib.sha256(what.encode()).hexdigest())
     return adapt_in_stages(
-        model, data, make_env, config, run_stage, seed=seed, choose_start=choose, settings=found
+        *(model, data, make_env, config, run_stage),
+        seed=seed,
+        choose_start=choose,
+        settings=found,
+        observation_keys=observation_keys,
     )
 
 
@@ -137,11 +144,12 @@ def adapt_in_stages(
     seed: int,
     choose_start: bool,
     settings: str = "",
+    observation_keys: Sequence[str] | None = None,
 ) -> Adaptation:
     """What :func:`adapt` does, with another way to run its stages.
 
     Args:
-        model, demonstrations, make_env, seed: as there.
+        model, demonstrations, make_env, seed, observation_keys: as there.
         config: of the adaptation.
         run_stage: runs ``"try-fresh"``, ``"try-trained"`` and ``"adaptation"``.
         choose_start: whether there are tries; otherwise the start is ``config.initial_policy``.
@@ -150,8 +158,9 @@ def adapt_in_stages(
     Raises:
         ValueError, TrainingDiverged: as there.
     """
-    check_demonstrations(model, demonstrations)
-    train = _Training(model, demonstrations, make_env, run_stage, seed)
+    demonstrations = check_demonstrations(model, demonstrations)
+    episodes = Episodes(make_env, model, demonstrations, seed, observation_keys=observation_keys)
+    train = _Training(model, demonstrations, episodes, run_stage, seed)
     carried = model.trained_policy(config.policy_scale)
     carried_return = train.learned_return(carried)
     tries: dict[str, float] = {}
@@ -197,7 +206,7 @@ class _Training:
         self,
         model: PEMIRLModel,
         demonstrations: DemonstrationDataset,
-        make_env: MakeEnv,
+        episodes: Episodes,
         run_stage: RunStage,
         seed: int,
     ) -> None:
@@ -205,9 +214,9 @@ class _Training:
         self.env_steps = 0
         self.history: dict[str, list[Metrics]] = {}
         self._run_stage = run_stage
-        self._episodes = Episodes(make_env, model, demonstrations, seed)
+        self._episodes = episodes
 
-    def __call__(self, stage: str, config: AdaptationConfig) -> tuple[ContextPolicy, str]:
+    def __call__(self, stage: str, config: AdaptationConfig) -> tuple[Policy, str]:
         """Train one policy; also return the activation of its hidden layers."""
         count = len(self.demonstrations)
         rollouts = max(1, config.rollouts // count)
@@ -230,14 +239,14 @@ class _Training:
         self.history[stage] = method.history
         return policy, activation
 
-    def learned_return(self, policy: ContextPolicy) -> float:
+    def learned_return(self, policy: Policy) -> float:
         """What a policy's mean action earns under r, in the episodes that are common to all."""
         rollouts = self._rollouts(policy)
         with torch.no_grad():
             reward = self.model.reward.reward(rollouts["observation"], rollouts["context"])
         return float(reward.sum(1).mean())
 
-    def _rollouts(self, policy: ContextPolicy) -> TensorDictBase:
+    def _rollouts(self, policy: Policy) -> TensorDictBase:
         count = len(self.demonstrations)
         each = max(4, JUDGED_EPISODES // count)
         seed = self.seed + JUDGED_SEED
@@ -274,7 +283,7 @@ class _Training:
     def _each(self) -> list[DemonstrationDataset]:
         return [self.demonstrations[i] for i in range(len(self.demonstrations))]
 
-    def far_states(self, policy: ContextPolicy) -> list[str]:
+    def far_states(self, policy: Policy) -> list[str]:
         """A warning where a policy takes r far from anything it was trained on."""
         family, features = self.model.family, self.model.config.reward_features
         if family is None:

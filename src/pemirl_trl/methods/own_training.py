@@ -12,6 +12,7 @@ import torch
 
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.defaults import found_for_meta_training, meta_training_config, table
+from pemirl_trl.methods.early_ends import for_training
 from pemirl_trl.methods.environments import Episodes, MakeEnv
 from pemirl_trl.methods.meta_il import MetaIL
 from pemirl_trl.methods.meta_training import MethodConfig, build, new_model, start_from
@@ -31,6 +32,7 @@ def meta_train(
     seed: int = 0,
     on_iteration: OnIteration | None = None,
     checkpoint: str | Path | None = None,
+    observation_keys: Sequence[str] | None = None,
     **overrides: Any,
 ) -> PEMIRLModel:
     """Learn q(m | demonstration), r(s, m) and a policy from unlabelled demonstrations.
@@ -41,15 +43,19 @@ def meta_train(
 
     Args:
         make_env: ``make_env(num_envs, seed)`` makes the environment of the demonstrations, with
-            continuous actions and episodes as long as they are; see :data:`MakeEnv`.
+            episodes as long as the longest of them, or that end by themselves (``terminated``)
+            before; see :class:`pemirl_trl.AbsorbingState` and :data:`MakeEnv`. Its actions are
+            vectors, or choices where every demonstrated action is one-hot.
         demonstrations: of many tasks, one or more of each; or the file of them.
         preset: ``"robust"``, whose rewards transfer where observations are what the task is about;
             ``"contrastive"``, where a body or an object stands in between (needs ``task_space``);
-            ``"paper"`` or ``"bounded"``, the published method.
+            ``"paper"``, the published method.
         task_space: which components of an observation the task is about, for ``"contrastive"``.
         seed: of everything random.
         on_iteration: called with the stage's name, the iteration (from 1) and its metrics.
         checkpoint: folder of checkpoints; the same call resumes a training that died.
+        observation_keys: of an environment that observes several things: which of them make up the
+            demonstrations' observations, in their order; ``"arm.angle"`` is nested.
         **overrides: fields of :class:`pemirl_trl.methods.MethodConfig`, nested ones as
             dictionaries: ``training={"iterations": 100}``.
 
@@ -64,7 +70,12 @@ def meta_train(
     LOG.info("meta-training with preset %s and\n%s", preset, found)
     what = f"{config} task_space={task_space} seed={seed} data={digest(data)}"
     run_stage = stages(on_iteration, checkpoint, hashlib.sha256(what.encode()).hexdigest())
-    return meta_train_in_stages(make_env, data, config, run_stage, seed=seed, task_space=task_space)
+    return meta_train_in_stages(
+        *(make_env, data, config, run_stage),
+        seed=seed,
+        task_space=task_space,
+        observation_keys=observation_keys,
+    )
 
 
 def meta_train_in_stages(
@@ -75,20 +86,22 @@ def meta_train_in_stages(
     *,
     seed: int,
     task_space: Sequence[int] | None = None,
+    observation_keys: Sequence[str] | None = None,
 ) -> PEMIRLModel:
     """What :func:`meta_train` does, with another way to run its two stages.
 
     Args:
-        make_env, demonstrations, seed, task_space: as there.
+        make_env, demonstrations, seed, task_space, observation_keys: as there.
         config: of the method.
         run_stage: runs ``"meta-il"`` and ``"meta-training"``.
 
     Raises:
         ValueError, TrainingDiverged: as there.
     """
+    demonstrations, config = for_training(make_env, demonstrations, config, seed, observation_keys)
     torch.manual_seed(seed)
     meta_il = new_model(demonstrations, config, task_space=task_space)
-    episodes = Episodes(make_env, meta_il, demonstrations, seed)
+    episodes = Episodes(make_env, meta_il, demonstrations, seed, observation_keys=observation_keys)
     pile = demonstrations.trajectories()
     run_stage("meta-il", MetaIL(meta_il, pile, config.meta_il))
     torch.manual_seed(seed)
@@ -131,6 +144,9 @@ def as_dataset(demonstrations: DemonstrationDataset | str | Path) -> Demonstrati
 def digest(demonstrations: DemonstrationDataset) -> str:
     """What tells demonstrations from others: a hash of their observations and actions."""
     content = hashlib.sha256()
-    for values in (demonstrations.observation, demonstrations.action):
+    d = demonstrations
+    for values in (d.observation, d.action, d.length, d.terminated):
+        if values is None:
+            continue
         content.update(values.detach().cpu().contiguous().numpy().tobytes())
     return content.hexdigest()

@@ -10,6 +10,7 @@ import torch
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 from tensordict import TensorDictBase
+from torch import Tensor
 from torch.optim import Adam
 from torchrl.envs import EnvBase
 
@@ -17,18 +18,21 @@ from pemirl_trl.configuration import CHECKED, Count, NonNegative
 from pemirl_trl.methods.adversarial import AdaptiveSampler, PolicyConfig, learned_policy_reward
 from pemirl_trl.methods.airl import AIRLConfig, set_learning_rate
 from pemirl_trl.methods.discriminator_batches import BatchConfig
+from pemirl_trl.methods.trpo import TRPOConfig
 from pemirl_trl.modules import AIRLDiscriminator, PEMIRLModel
 from pemirl_trl.objectives import DiscriminatorLoss, InfoLoss
 from pemirl_trl.objectives.info import Form, Summand
 from pemirl_trl.optim import descend
+
+INFORMING = ("observation", "action", ("next", "observation"), "context", "demonstration")
 
 
 @dataclass(frozen=True, config=CHECKED)
 class PEMIRLConfig(AIRLConfig):
     """Of meta-training, beside what adversarial IRL has.
 
-    The defaults are the paper's method on Point-Maze, with the information term rescaled for
-    stability (``info_time_mean``, ``info_normalize``).
+    The defaults are the paper's method, with settings that hold on every domain
+    (:meth:`paper`).
 
     Attributes:
         encoder_lr: of psi; 0 leaves it as it is.
@@ -39,24 +43,19 @@ class PEMIRLConfig(AIRLConfig):
             :class:`InfoLoss`.
     """
 
-    encoder_lr: NonNegative = 1e-4
+    encoder_lr: NonNegative = 0.0
     encoder_gradient: bool = False
-    info_coeff: NonNegative = 0.03
+    info_coeff: NonNegative = 0.1
     info_contexts: Count = 10
     info_summand: Summand = "shaped"
     info_time_mean: bool = True
-    info_normalize: bool = True
-    info_form: Form = "covariance"
-    info_prior_fraction: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    info_normalize: bool = False
+    info_form: Form = "tilted"
+    info_prior_fraction: Annotated[float, Field(ge=0, lt=1)] = 0.01
 
     @classmethod
     def paper(cls) -> PEMIRLConfig:
-        """Algorithm 1: the defaults."""
-        return cls()
-
-    @classmethod
-    def bounded(cls) -> PEMIRLConfig:
-        """The paper's equations with settings that hold on every domain.
+        """Algorithm 1 with settings that hold on every domain: the defaults.
 
         The information term has the paper's weight of 0.1, in a form that is bounded (tilted, with
         q mixed with the prior): rescaled, it drives r without end where the discriminator is
@@ -65,12 +64,38 @@ class PEMIRLConfig(AIRLConfig):
         (``learn_policy_scale``) and no bonus on entropy: a deviation held at 1 caps what any
         policy can do, and with actions that the simulator clamps entropy costs nothing.
         """
+        return cls()
+
+    @classmethod
+    def literal(cls) -> PEMIRLConfig:
+        """Algorithm 1 to the letter, wherever the paper gives a value.
+
+        L_info as Lemma 2 has it, unscaled, with weight 0.1; psi follows it at Adam's default rate;
+        the policy maximises log D - log(1 - D), with an entropy weight of 0.1 (the paper's of
+        Point-Maze is 1.0). Made for comparison: it does not hold up (docs/method.md).
+        """
         return cls(
-            encoder_lr=0.0,
-            info_coeff=0.1,
-            info_normalize=False,
-            info_form="tilted",
-            info_prior_fraction=0.01,
+            encoder_lr=1e-3,
+            info_time_mean=False,
+            info_form="covariance",
+            info_prior_fraction=0.0,
+            policy_reward="score",
+            policy=PolicyConfig(trpo=TRPOConfig(entropy_coeff=0.1)),
+        )
+
+    @classmethod
+    def rescaled(cls) -> PEMIRLConfig:
+        """Point-Maze's settings of old: log q in deviations of the batch, r's return by T.
+
+        It goes with a deviation that is held at 1, and fails on bodies with many joints: nothing
+        opposes the rescaled term where the discriminator is saturated.
+        """
+        return cls(
+            encoder_lr=1e-4,
+            info_coeff=0.03,
+            info_normalize=True,
+            info_form="covariance",
+            info_prior_fraction=0.0,
         )
 
     @classmethod
@@ -82,9 +107,10 @@ class PEMIRLConfig(AIRLConfig):
         negatives enclose the expert's support, the penalty keeps a global slope. For half of the
         iterations the policy explores with a deviation of 1 while the reward takes shape; then the
         reward's learning rate fades out, and the policy acts ever more precisely, with a growing
-        weight on imitation.
+        weight on imitation. The information term is :meth:`rescaled`'s.
         """
-        return cls(
+        return replace(
+            cls.rescaled(),
             final_reward_lr=1e-4,
             gradient_penalty_coeff=0.1,
             batch=BatchConfig(jitter_fraction=0.5, jitter_scale=2.0),
@@ -182,29 +208,33 @@ class PEMIRL:
 
     def _update_encoder_and_reward(self, rollouts: TensorDictBase) -> dict[str, float]:
         c = self.config
-        for _ in range(c.reward_steps):
-            info = self._info_loss(self._some_contexts(rollouts))
+        # With a rate of 0 psi stays where it is, and with a weight of 0 theta does not hear of it.
+        moves_psi, informs_theta = c.encoder_lr > 0, c.info_coeff > 0
+        for step in range(1, c.reward_steps + 1):
+            rows = self._rows_of_some_contexts(rollouts)
+            if moves_psi or informs_theta or step == c.reward_steps:  # the last one for the metrics
+                with torch.set_grad_enabled(moves_psi or informs_theta):
+                    info = self._info_loss(rollouts.select(*INFORMING)[rows])
             classification = self._discriminator_loss(self.sampler.discriminator_batch())
             # Both losses are computed before either step: psi and theta move simultaneously.
-            psi_loss = info["loss_info_encoder"]
             theta_loss = classification["loss_discriminator"]
-            if c.encoder_gradient:
-                psi_loss = psi_loss + theta_loss
-            theta_loss = theta_loss + c.info_coeff * info["loss_info_reward"]
+            if moves_psi:
+                psi_loss = info["loss_info_encoder"] + (theta_loss if c.encoder_gradient else 0.0)
+            if informs_theta:
+                theta_loss = theta_loss + c.info_coeff * info["loss_info_reward"]
             if c.gradient_penalty_coeff > 0:
                 theta_loss = theta_loss + classification["loss_gradient_penalty"]
-            descend(self._encoder_optimizer, psi_loss, retain_graph=c.encoder_gradient)
+            if moves_psi:
+                descend(self._encoder_optimizer, psi_loss, retain_graph=c.encoder_gradient)
             descend(self._reward_optimizer, theta_loss)
         losses = {**info, **classification}
         return {f"reward/{name}": float(value.detach()) for name, value in losses.items()}
 
-    def _some_contexts(self, rollouts: TensorDictBase) -> TensorDictBase:
+    def _rows_of_some_contexts(self, rollouts: TensorDictBase) -> Tensor:
         k = self.config.rollouts_per_context
         count = rollouts.shape[0] // k
         chosen = torch.randperm(count)[: self.config.info_contexts]
-        rows = (chosen.unsqueeze(-1) * k + torch.arange(k)).reshape(-1)
-        keys = ("observation", "action", ("next", "observation"), "context", "demonstration")
-        return rollouts.select(*keys)[rows]
+        return (chosen.unsqueeze(-1) * k + torch.arange(k)).reshape(-1)
 
     def components(self) -> dict[str, Any]:
         """What a checkpoint holds."""

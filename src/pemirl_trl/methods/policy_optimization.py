@@ -19,7 +19,7 @@ from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.observation_statistics import ObservationStatistics
 from pemirl_trl.methods.schedule import AnnealedScale
 from pemirl_trl.methods.trpo import TRPO, TRPOConfig
-from pemirl_trl.modules import ContextPolicy
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.transforms import LearnedReward
 
 
@@ -31,7 +31,7 @@ class PolicyOptimizationConfig:
         iterations: policy steps.
         trpo: of one step.
         final_scale: if given, the deviation is not learned but forced, log-linearly from the
-            policy's initial one to this.
+            policy's initial one to this; so is the uniform share of discrete actions.
         anneal_begin, anneal_finish: shares of the iterations between which it moves.
         imitate_best: weight, beside standardised advantages, of the squared error to the actions of
             the best trajectory that any task's policy has found for each task; needs a reward that
@@ -87,7 +87,7 @@ class PolicyOptimization:
     def __init__(
         self,
         env: EnvBase,
-        policy: ContextPolicy,
+        policy: Policy,
         horizon: int,
         config: PolicyOptimizationConfig,
         *,
@@ -105,7 +105,7 @@ class PolicyOptimization:
         self._learned = None if reward is None else LearnedReward(reward)
         self._statistics: ObservationStatistics | None = None
         if config.standardize_observations:
-            self._statistics = ObservationStatistics(policy.gaussian.standardize)
+            self._statistics = ObservationStatistics(policy.standardize)
         self._best: BestTrajectories | None = None
         if config.imitate_best > 0:
             if reward is None:

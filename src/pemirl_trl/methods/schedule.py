@@ -32,6 +32,8 @@ def log_linear(
 class AnnealedScale:
     """A policy's deviation, forced along :func:`log_linear` instead of being learned.
 
+    Of a policy of discrete actions it is the share of them that is drawn uniformly.
+
     Args:
         log_scale: the policy's parameter; it is taken out of the learner's hands.
         final_scale: where the deviation ends; None leaves the parameter alone.

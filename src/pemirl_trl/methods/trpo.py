@@ -11,7 +11,9 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from pemirl_trl.configuration import CHECKED, Count, NonNegative, Positive, Share
-from pemirl_trl.modules import ContextPolicy
+from pemirl_trl.methods.fisher import gaussian_fisher_product, has_closed_form
+from pemirl_trl.modules.model import Policy
+from pemirl_trl.modules.reading import acted_steps
 from pemirl_trl.objectives import FiniteHorizonAdvantage, TRPOLoss
 from pemirl_trl.optim import TrustRegionOptimizer
 
@@ -53,7 +55,7 @@ class TRPO:
 
     def __init__(
         self,
-        policy: ContextPolicy,
+        policy: Policy,
         config: TRPOConfig,
         rollouts_per_context: int,
     ) -> None:
@@ -64,7 +66,7 @@ class TRPO:
             gamma=config.gamma,
             lmbda=config.lmbda,
             rollouts_per_context=rollouts_per_context,
-            observation_map=policy.gaussian.standardize,
+            observation_map=policy.standardize,
             standardize=config.standardize,
         )
         self.optimizer = TrustRegionOptimizer(
@@ -88,6 +90,9 @@ class TRPO:
             Metrics of the step.
         """
         batch = self.advantage(rollouts).select(*self.loss.in_keys).reshape(-1)
+        acted = acted_steps(rollouts)
+        if acted is not None:  # neither surrogate nor trust region see actions that did nothing
+            batch = batch[acted.reshape(-1)]
         rows = torch.randint(batch.shape[0], (min(self.config.fisher_rows, batch.shape[0]),))
         fisher_batch = batch[rows]
 
@@ -96,13 +101,21 @@ class TRPO:
             loss = losses["loss_objective"]
             return loss if extra_loss is None else loss + extra_loss(), losses["kl"]
 
-        result = self.optimizer.step(closure, lambda: self.loss(fisher_batch)["kl"])
+        if has_closed_form(self.policy):
+            product = gaussian_fisher_product(self.policy, fisher_batch)
+            result = self.optimizer.step(closure, fisher_product=product)
+        else:
+            result = self.optimizer.step(closure, lambda: self.loss(fisher_batch)["kl"])
+        scale = float(self.policy.log_scale.detach().exp().mean())
+        # Under a name of its own where the learner alone moves it: a sign of failure reads it.
+        learned = {"policy/learned_scale": scale} if self.policy.log_scale.requires_grad else {}
         return {
+            **learned,
             "trpo/accepted": float(result.accepted),
             "trpo/kl": result.kl,
             "trpo/improvement": result.improvement,
             "trpo/backtracks": float(result.backtracks),
             "trpo/cg_residual": result.cg_residual,
             "trpo/gradient_norm": result.gradient_norm,
-            "policy/scale": float(self.policy.log_scale.detach().exp().mean()),
+            "policy/scale": scale,
         }

@@ -1,6 +1,8 @@
 """Networks of PEMIRL as TensorDict modules."""
 
 from pemirl_trl.modules.actors import ContextPolicy, ContextValue
+from pemirl_trl.modules.attention_encoder import AttentionContextEncoder
+from pemirl_trl.modules.categorical import CategoricalPolicy
 from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder, NoContext
 from pemirl_trl.modules.discriminator import AIRLDiscriminator, GAILDiscriminator
 from pemirl_trl.modules.family import FamilyDistance, TrainingFamily
@@ -11,6 +13,8 @@ from pemirl_trl.modules.standardize import Standardize
 
 __all__ = [
     "AIRLDiscriminator",
+    "AttentionContextEncoder",
+    "CategoricalPolicy",
     "ContextEncoder",
     "ContextPolicy",
     "ContextValue",

@@ -22,7 +22,7 @@ from pemirl_trl.modules.standardize import Standardize
 class _GaussianNet(nn.Module):
     def __init__(
         self,
-        net: nn.Module,
+        net: RowwiseMLP,
         standardize: Standardize,
         log_scale: nn.Parameter,
         standardize_context: Standardize | None,
@@ -32,10 +32,17 @@ class _GaussianNet(nn.Module):
         self.standardize_context = standardize_context
 
     def forward(self, observation: Tensor, context: Tensor) -> tuple[Tensor, Tensor]:
+        loc = self.net(*self._inputs(observation, context))
+        return loc, self.log_scale.exp().expand_as(loc)
+
+    def linearised(self, observation: Tensor, context: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+        """:meth:`RowwiseMLP.linearised` of the mean."""
+        return self.net.linearised(*self._inputs(observation, context))
+
+    def _inputs(self, observation: Tensor, context: Tensor) -> tuple[Tensor, Tensor]:
         if self.standardize_context is not None:
             context = self.standardize_context(context)
-        loc = self.net(self.standardize(observation), beside(context, observation))
-        return loc, self.log_scale.exp().expand_as(loc)
+        return self.standardize(observation), beside(context, observation)
 
 
 class ContextPolicy(ProbabilisticActor):
@@ -114,6 +121,7 @@ class ContextPolicy(ProbabilisticActor):
         self.observation_key: NestedKey = "observation"
         self.context_key = context_key
         self.loc_key, self.scale_key, self.action_key = "loc", "scale", "action"
+        self.action_dim = action_dim
 
     @property
     def log_prob_key(self) -> NestedKey:
@@ -124,6 +132,16 @@ class ContextPolicy(ProbabilisticActor):
     def gaussian(self) -> _GaussianNet:
         """The network of mean and deviation."""
         return self.module[0].net
+
+    @property
+    def net(self) -> nn.Module:
+        """The network of the mean."""
+        return self.gaussian.net
+
+    @property
+    def standardize(self) -> Standardize:
+        """The map of observations."""
+        return self.gaussian.standardize
 
     @property
     def log_scale(self) -> nn.Parameter:

@@ -30,7 +30,20 @@ def diagonal_normal(loc: Tensor, scale: Tensor) -> Independent:
     return Independent(Normal(loc, scale, validate_args=False), 1, validate_args=False)
 
 
-class _GaussianHead(nn.Module):
+def valid_steps(mask: Tensor | None, steps: Tensor) -> Tensor:
+    """The mask ``[N, T]`` of steps ``[N, T, F]``; without one all are valid.
+
+    Raises:
+        ValueError: a trajectory has no valid step.
+    """
+    if mask is None:
+        return torch.ones_like(steps[..., 0], dtype=torch.bool)
+    if not mask.any(-1).all():
+        raise ValueError("a trajectory has no valid step: its mask is False everywhere")
+    return mask
+
+
+class GaussianHead(nn.Module):
     """Splits features into a location and a scale, with one scale for all inputs if so told."""
 
     def __init__(
@@ -43,9 +56,11 @@ class _GaussianHead(nn.Module):
 
     @property
     def in_features(self) -> int:
+        """How many features it takes."""
         return self.context_dim * (2 if self.depends else 1)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Features ``[..., in_features]`` as location and scale, ``[..., D]``."""
         loc = features[..., : self.context_dim]
         log_scale = self.log_scale.expand_as(loc)
         if self.depends:
@@ -55,7 +70,7 @@ class _GaussianHead(nn.Module):
 
 class _FlatTrajectoryNet(nn.Module):
     def __init__(
-        self, net: nn.Module, head: _GaussianHead, standardize: Standardize, horizon: int
+        self, net: nn.Module, head: GaussianHead, standardize: Standardize, horizon: int
     ) -> None:
         super().__init__()
         self.standardize, self.net, self.head, self.horizon = standardize, net, head, horizon
@@ -72,7 +87,7 @@ class _FlatTrajectoryNet(nn.Module):
 
 class _MaskedTrajectoryNet(nn.Module):
     def __init__(
-        self, step_net: nn.Module, net: nn.Module, head: _GaussianHead, standardize: Standardize
+        self, step_net: nn.Module, net: nn.Module, head: GaussianHead, standardize: Standardize
     ) -> None:
         super().__init__()
         self.standardize, self.step_net, self.net, self.head = standardize, step_net, net, head
@@ -81,10 +96,7 @@ class _MaskedTrajectoryNet(nn.Module):
         self, observation: Tensor, action: Tensor, mask: Tensor | None
     ) -> tuple[Tensor, Tensor]:
         inputs = torch.cat([self.standardize(observation), action], -1)
-        if mask is None:
-            mask = torch.ones_like(inputs[..., 0], dtype=torch.bool)
-        if not mask.any(-1).all():
-            raise ValueError("a trajectory has no valid step: its mask is False everywhere")
+        mask = valid_steps(mask, inputs)
         # Select rather than multiply, and before the network as well as after: padding may hold
         # NaN, which a zero gradient times the input would carry into the weights' gradient.
         valid = mask.unsqueeze(-1)
@@ -93,7 +105,7 @@ class _MaskedTrajectoryNet(nn.Module):
         return self.head(self.net(mean))
 
 
-class _GaussianContext(ProbabilisticTensorDictSequential):
+class GaussianContext(ProbabilisticTensorDictSequential):
     """A network that gives (loc, scale), followed by the Gaussian over the context."""
 
     def __init__(
@@ -151,7 +163,7 @@ class _GaussianContext(ProbabilisticTensorDictSequential):
         return data
 
 
-class ContextEncoder(_GaussianContext):
+class ContextEncoder(GaussianContext):
     """The inference model q_psi(m | tau): an MLP on the whole trajectory, of fixed length.
 
     Reads ``observation`` ``[N, T, S]`` and ``action`` ``[N, T, A]``; ``get_dist`` gives a diagonal
@@ -206,7 +218,7 @@ class ContextEncoder(_GaussianContext):
         initial_scale: float = 1.0,
         context_key: NestedKey = "context",
     ) -> None:
-        head = _GaussianHead(context_dim, scale_depends_on_input, initial_scale)
+        head = GaussianHead(context_dim, scale_depends_on_input, initial_scale)
         net = RowwiseMLP(
             horizon * (observation_dim + action_dim), head.in_features, hidden, activation
         )
@@ -214,7 +226,20 @@ class ContextEncoder(_GaussianContext):
             net, head, standardize or Standardize.identity(observation_dim), horizon
         )
         super().__init__(flat, context_dim, ["observation", "action"], context_key)
+        self.horizon = horizon
         self.action_key: NestedKey = "action"
+
+    def _trajectories(self, data: Any) -> Any:
+        data = super()._trajectories(data)
+        mask = data.get("mask", None) if is_tensor_collection(data) else None
+        if mask is not None and not bool(mask.all()):
+            raise ValueError(
+                f"this encoder reads all {self.horizon} steps of a trajectory, and "
+                f"{int((~mask.all(-1)).sum())} of these have padding; give the model "
+                "encoder='attention', which takes any length, or demonstrations that go on to the "
+                "horizon (DemonstrationDataset.with_absorbing_states, if they ended by themselves)"
+            )
+        return data
 
 
 class _NothingNet(nn.Module):
@@ -223,7 +248,7 @@ class _NothingNet(nn.Module):
         return nothing, nothing
 
 
-class NoContext(_GaussianContext):
+class NoContext(GaussianContext):
     """The inference model of a method without contexts: m has no dimension, log q is 0.
 
     Reads ``observation`` ``[N, T, S]``; everything that takes a context runs on ``[N, 0]`` as it
@@ -237,7 +262,7 @@ class NoContext(_GaussianContext):
         super().__init__(_NothingNet(), 0, ["observation"], context_key)
 
 
-class MaskedContextEncoder(_GaussianContext):
+class MaskedContextEncoder(GaussianContext):
     """The inference model q_psi(m | tau) for trajectories of any length, padded to a common one.
 
     Each step is embedded by an MLP, the embeddings are averaged over the valid steps and a
@@ -271,7 +296,7 @@ class MaskedContextEncoder(_GaussianContext):
         context_key: NestedKey = "context",
         mask_key: NestedKey = "mask",
     ) -> None:
-        head = _GaussianHead(context_dim, scale_depends_on_input, initial_scale)
+        head = GaussianHead(context_dim, scale_depends_on_input, initial_scale)
         width = hidden[-1]
         step_net = RowwiseMLP(observation_dim + action_dim, width, hidden, activation)
         net = RowwiseMLP(width, head.in_features, [width], activation)

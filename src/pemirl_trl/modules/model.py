@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic.dataclasses import dataclass
 from torch import nn
 
 from pemirl_trl.configuration import CHECKED, Count, Index, Positive, Share
 from pemirl_trl.modules.actors import ContextPolicy
+from pemirl_trl.modules.attention_encoder import AttentionContextEncoder
+from pemirl_trl.modules.categorical import CategoricalPolicy, check_share
 from pemirl_trl.modules.context_encoder import ContextEncoder, MaskedContextEncoder, NoContext
 from pemirl_trl.modules.discriminator import GAILDiscriminator
 from pemirl_trl.modules.family import TrainingFamily
 from pemirl_trl.modules.reward import ShapedReward
 from pemirl_trl.modules.standardize import Standardize
 
-EncoderKind = Literal["flat", "masked"]
+EncoderKind = Literal["flat", "masked", "attention"]
 RewardKind = Literal["shaped", "gail"]
+ActionKind = Literal["continuous", "discrete"]
+Policy = ContextPolicy | CategoricalPolicy
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
 
 
@@ -27,14 +31,19 @@ class ModelConfig:
 
     Attributes:
         context_dim: D, dimension of the latent context; 0 for methods that know none.
-        encoder: ``"flat"``, an MLP on the whole trajectory (the paper's), or ``"masked"``, the
-            average of embedded steps, for trajectories of any length.
+        encoder: ``"flat"``, an MLP on the whole trajectory (the paper's), or, for trajectories of
+            any length, ``"attention"``, or ``"masked"``, the average of embedded steps.
         reward: ``"shaped"``, AIRL's r and h, or ``"gail"``, the logit of GAIL's D(s, a).
         encoder_hidden, policy_hidden, reward_hidden: widths of the hidden layers.
         reward_gamma: discount of the potential in f.
-        policy_scale: the policy's deviation before training.
+        policy_scale: the policy's deviation before training; of discrete actions, the share that is
+            drawn uniformly, below 1.
         reward_features: which components of an observation r reads; None: all (the paper). See
             :class:`ShapedReward`; GAIL's D has no such choice.
+        absorbing: whether the last component of an observation says that the episode has ended;
+            see :class:`pemirl_trl.AbsorbingState`.
+        actions: ``"continuous"``, of a Gaussian policy (the paper's), or ``"discrete"``, one-hot
+            vectors of a categorical one.
     """
 
     context_dim: Index = 3
@@ -46,6 +55,16 @@ class ModelConfig:
     reward_gamma: Share = 0.99
     policy_scale: Positive = 1.0
     reward_features: Sequence[Index] | None = None
+    absorbing: bool = False
+    actions: ActionKind = "continuous"
+
+    def __post_init__(self) -> None:
+        self.check_scale("policy_scale", self.policy_scale)
+
+    def check_scale(self, name: str, scale: float | None) -> None:
+        """Raise ValueError unless a policy of these actions can have the ``scale`` of that name."""
+        if self.actions == "discrete" and scale is not None:
+            check_share(name, scale)
 
 
 class PEMIRLModel(nn.Module):
@@ -93,15 +112,16 @@ class PEMIRLModel(nn.Module):
         self.reward = self._new_reward()
         self.policy = self.new_policy()
 
-    def _new_encoder(self) -> ContextEncoder | MaskedContextEncoder | NoContext:
+    def _new_encoder(
+        self,
+    ) -> ContextEncoder | MaskedContextEncoder | AttentionContextEncoder | NoContext:
         c = self.config
         if c.context_dim == 0:
             return NoContext()
         sizes = (self.observation_dim, self.action_dim, c.context_dim)
-        if c.encoder == "masked":
-            return MaskedContextEncoder(
-                *sizes, hidden=c.encoder_hidden, standardize=self.standardize
-            )
+        if c.encoder != "flat":
+            kind = MaskedContextEncoder if c.encoder == "masked" else AttentionContextEncoder
+            return kind(*sizes, hidden=c.encoder_hidden, standardize=self.standardize)
         return ContextEncoder(
             *sizes, self.horizon, hidden=c.encoder_hidden, standardize=self.standardize
         )
@@ -126,12 +146,13 @@ class PEMIRLModel(nn.Module):
 
     def new_policy(
         self, scale: float | None = None, *, learn_scale: bool = True, activation: str = "relu"
-    ) -> ContextPolicy:
+    ) -> Policy:
         """Return a freshly initialised policy of this model's sizes, as adaptation starts from.
 
         Args:
             scale: deviation before training; None takes the configured one.
-            learn_scale: whether the deviation is learned.
+            learn_scale: whether the deviation is learned; the share of uniform actions, which
+                stands in its place where actions are discrete, never is.
             activation: of the hidden layers, ``"relu"`` (the paper's) or ``"tanh"``.
 
         Raises:
@@ -139,25 +160,23 @@ class PEMIRLModel(nn.Module):
         """
         if activation not in ACTIVATIONS:
             raise ValueError(f"unknown activation {activation!r}; choose one of {[*ACTIVATIONS]}")
-        return ContextPolicy(
-            self.observation_dim,
-            self.action_dim,
-            self.config.context_dim,
-            hidden=self.config.policy_hidden,
-            activation=ACTIVATIONS[activation],
-            standardize=self.standardize,
-            initial_scale=self.config.policy_scale if scale is None else scale,
-            learn_scale=learn_scale,
-        )
+        sizes = (self.observation_dim, self.action_dim, self.config.context_dim)
+        common: dict[str, Any] = {
+            "hidden": self.config.policy_hidden,
+            "activation": ACTIVATIONS[activation],
+            "standardize": self.standardize,
+            "initial_scale": self.config.policy_scale if scale is None else scale,
+        }
+        if self.config.actions == "discrete":
+            return CategoricalPolicy(*sizes, **common)
+        return ContextPolicy(*sizes, **common, learn_scale=learn_scale)
 
-    def trained_policy(
-        self, scale: float | None = None, *, learn_scale: bool = True
-    ) -> ContextPolicy:
+    def trained_policy(self, scale: float | None = None, *, learn_scale: bool = True) -> Policy:
         """Return a copy of this model's policy, its mean with a deviation of its own, to train on.
 
         Args:
             scale, learn_scale: of the deviation, as in :meth:`new_policy`.
         """
         policy = self.new_policy(scale, learn_scale=learn_scale)
-        policy.gaussian.net.load_state_dict(self.policy.gaussian.net.state_dict())
+        policy.net.load_state_dict(self.policy.net.state_dict())
         return policy

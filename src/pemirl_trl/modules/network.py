@@ -44,3 +44,34 @@ class RowwiseMLP(MLP):
         (values,) = inputs if len(inputs) == 1 else (torch.cat(inputs, -1),)
         rows = super().forward(values.reshape(-1, values.shape[-1]))
         return rows.view(*values.shape[:-1], rows.shape[-1])
+
+    @torch.no_grad()
+    def linearised(self, *inputs: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+        """What the network's derivative at a batch is made of.
+
+        Args:
+            inputs: as of a call.
+
+        Returns:
+            The inputs of each linear layer, ``[B, F]``, and the slope of each activation. They hold
+            for activations whose slope is a function of their value: ReLU and tanh.
+
+        Raises:
+            TypeError: another layer.
+        """
+        values = torch.cat(inputs, -1)
+        values = values.reshape(-1, values.shape[-1])
+        layer_inputs, slopes = [], []
+        for layer in self:
+            if isinstance(layer, nn.Linear):
+                layer_inputs.append(values)
+            values = layer(values)
+            if isinstance(layer, nn.ReLU):
+                slopes.append((values > 0).to(values.dtype))
+            elif isinstance(layer, nn.Tanh):
+                slopes.append(1.0 - values.square())
+            elif not isinstance(layer, nn.Linear):
+                raise TypeError(
+                    f"the slope of {type(layer).__name__} is not known; ReLU's and Tanh's are"
+                )
+        return layer_inputs, slopes

@@ -24,6 +24,7 @@ WRITERS: dict[NestedKey, str] = {
     "demonstrations)); for stored trajectories draw it, encoder.get_dist(trajectories).rsample()",
     "loc": _COLLECTION,
     "scale": _COLLECTION,
+    "logits": _COLLECTION,
     "action_log_prob": f"{_COLLECTION}; of expert transitions it is "
     "policy.get_dist(batch).log_prob(action)",
     "next_observation": _ENVIRONMENT,
@@ -87,6 +88,18 @@ def trajectories_of(data: Any) -> Any:
     if is_tensor_collection(data) or not callable(getattr(data, "trajectories", None)):
         return data
     return data.trajectories()
+
+
+def acted_steps(batch: TensorDictBase) -> Tensor | None:
+    """The steps ``[N, T]`` of trajectories whose action was somebody's choice; None: all of them.
+
+    Not so padding (where ``mask`` is False), and what follows the end of an episode (where
+    ``absorbing`` is True).
+    """
+    mask, absorbing = batch.get("mask", None), batch.get("absorbing", None)
+    if absorbing is None:
+        return mask
+    return ~absorbing if mask is None else mask & ~absorbing
 
 
 def key_of(module: TensorDictModuleBase, role: str) -> NestedKey:
@@ -175,7 +188,7 @@ def _has(*names: str) -> Callable[[Any], bool]:
 ENCODER = Part(
     "an encoder",
     "encoder",
-    "ContextEncoder, MaskedContextEncoder or NoContext",
+    "ContextEncoder, AttentionContextEncoder, MaskedContextEncoder or NoContext",
     _has("get_dist", "context_dim"),
 )
 REWARD = Part(
@@ -190,7 +203,7 @@ DISCRIMINATOR = Part(
 POLICY = Part(
     "a policy",
     "policy",
-    "ContextPolicy, or a ProbabilisticActor",
+    "ContextPolicy, CategoricalPolicy or a ProbabilisticActor",
     # An encoder is a distribution too; what sets it apart is the context that it gives.
     lambda value: _has("build_dist_from_params")(value) and not hasattr(value, "context_dim"),
 )

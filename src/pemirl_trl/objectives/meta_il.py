@@ -9,7 +9,7 @@ from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictParams, d
 from tensordict.utils import NestedKey
 
 from pemirl_trl.functional import kl_to_standard_normal
-from pemirl_trl.modules.reading import ENCODER, POLICY, key_of
+from pemirl_trl.modules.reading import ENCODER, POLICY, acted_steps, key_of
 from pemirl_trl.objectives.common import KeyedLoss, require_time
 
 
@@ -84,8 +84,9 @@ class MetaILLoss(KeyedLoss):
         """Compute both losses.
 
         Args:
-            tensordict: demonstrations of one length, leaves ``[N, T, ...]``, or a data set with a
-                method ``trajectories``.
+            tensordict: demonstrations, leaves ``[N, T, ...]``, or a data set with a method
+                ``trajectories``. Where they have a ``mask`` (False for padding) or ``absorbing``
+                (True after an end), only actions that were somebody's choice are imitated.
 
         Raises:
             MissingKeyError: it lacks one of ``in_keys``.
@@ -95,6 +96,8 @@ class MetaILLoss(KeyedLoss):
         action = self._read(tensordict, "action")
         require_time(observation, "MetaILLoss", "observation")
         inputs = TensorDict({"observation": observation, "action": action}, observation.shape[:1])
+        if (mask := tensordict.get("mask", None)) is not None:
+            inputs.set("mask", mask)
         with self.encoder_network_params.to_module(
             self.encoder_network, preserve_module_state=False
         ):
@@ -106,6 +109,8 @@ class MetaILLoss(KeyedLoss):
         inputs = TensorDict(
             {self._policy_observation: observation, self._policy_context: context}, steps
         )
+        if (acted := acted_steps(tensordict)) is not None:
+            inputs, action = inputs[acted], action[acted]
         with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
             log_prob = self.actor_network.get_dist(inputs).log_prob(action)
         kl = kl_to_standard_normal(posterior.mean, posterior.stddev).mean()

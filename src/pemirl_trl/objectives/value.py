@@ -124,7 +124,10 @@ class FiniteHorizonAdvantage:
     "Benchmarking Deep Reinforcement Learning for Continuous Control", arXiv:1604.06778, fitted in
     closed form to the returns of each context's own batch of rollouts on (s, s^2, t, t^2, t^3, 1).
     The return of their mean reward is taken out before the fit and added after it, so that a
-    constant in the reward leaves advantages as they are. Where a context has few more transitions
+    constant in the reward leaves advantages as they are. Where steps begin in an absorbing state
+    (``absorbing`` ``[N, T]``, of :class:`pemirl_trl.AbsorbingState`), nothing is left to choose and
+    to estimate: their value is their return-to-go, their advantage 0, and they count neither in the
+    fit nor in the standardisation. Where a context has few more transitions
     than these 2 S + 4 features, the fit would interpolate: use a network.
 
     Args:
@@ -138,6 +141,7 @@ class FiniteHorizonAdvantage:
             rollouts of each ``"context"``, so that no task's returns outweigh the others', or None.
         reward_key: which reward to use.
         observation_key: what the linear baseline is fitted on.
+        absorbing_key: which steps begin in an absorbing state, where some do.
 
     Raises:
         ValueError: ``standardize`` is none of these; on a call, the batch has no time, or its rows
@@ -166,6 +170,7 @@ class FiniteHorizonAdvantage:
         standardize: AdvantageGroup | None = "batch",
         reward_key: NestedKey = ("next", "reward"),
         observation_key: NestedKey = "observation",
+        absorbing_key: NestedKey = "absorbing",
     ) -> None:
         if standardize not in (None, *get_args(AdvantageGroup)):
             raise ValueError(
@@ -179,6 +184,7 @@ class FiniteHorizonAdvantage:
         self.observation_map = observation_map
         self.standardize = standardize
         self.reward_key, self.observation_key = reward_key, observation_key
+        self.absorbing_key = absorbing_key
 
     @torch.no_grad()
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -193,7 +199,12 @@ class FiniteHorizonAdvantage:
         """
         reward = read(tensordict, self.reward_key, "FiniteHorizonAdvantage")  # [N, T, 1]
         require_time(reward, "FiniteHorizonAdvantage", "reward")
-        value = self._baseline(tensordict, reward)
+        absorbing = tensordict.get(self.absorbing_key, None)
+        acts = None if absorbing is None else ~absorbing.view_as(reward)
+        value = self._baseline(tensordict, reward, acts)
+        if acts is not None:
+            settled = discounted_return(reward.squeeze(-1), self.gamma).unsqueeze(-1)
+            value = torch.where(acts, value, settled)
         next_value = torch.cat([value[:, 1:], torch.zeros_like(value[:, :1])], 1)
         end = torch.zeros_like(reward, dtype=torch.bool)
         end[:, -1] = True
@@ -201,12 +212,14 @@ class FiniteHorizonAdvantage:
             self.gamma, self.lmbda, value, next_value, reward, done=end, terminated=end
         )
         if self.standardize == "batch":
-            advantage = standardize(advantage)
+            advantage = standardize(advantage, mask=acts)
         elif self.standardize == "context":
-            advantage = standardize(self._by_context(advantage), 1).view_as(advantage)
+            mask = None if acts is None else self._by_context(acts)
+            grouped = standardize(self._by_context(advantage), 1, mask=mask)
+            advantage = grouped.view_as(advantage)
         return tensordict.set("advantage", advantage).set("value_target", target)
 
-    def _baseline(self, tensordict: TensorDictBase, reward: Tensor) -> Tensor:
+    def _baseline(self, tensordict: TensorDictBase, reward: Tensor, acts: Tensor | None) -> Tensor:
         if self.value is not None:
             inputs = _inputs(self.value, tensordict, "FiniteHorizonAdvantage")
             return self.value(inputs)[_value_key(self.value)]
@@ -217,7 +230,10 @@ class FiniteHorizonAdvantage:
         annuity = discounted_return(torch.ones_like(reward.squeeze(-1)), self.gamma).unsqueeze(-1)
         level = self._by_context(reward).mean(1, keepdim=True) * self._by_context(annuity)
         features = time_polynomial_features(self.observation_map(observation)).to(reward.dtype)
-        rest = ridge_prediction(self._by_context(features), (returns - level).squeeze(-1))
+        mask = None if acts is None else self._by_context(acts).squeeze(-1)
+        rest = ridge_prediction(
+            self._by_context(features), (returns - level).squeeze(-1), mask=mask
+        )
         return (level.squeeze(-1) + rest).view_as(reward)
 
     def _by_context(self, values: Tensor) -> Tensor:

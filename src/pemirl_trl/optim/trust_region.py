@@ -142,6 +142,7 @@ class TrustRegionOptimizer(Optimizer):
         self,
         closure: Callable[[], tuple[Tensor, Tensor]],
         fisher_closure: Callable[[], Tensor] | None = None,
+        fisher_product: Callable[[Tensor], Tensor] | None = None,
     ) -> TrustRegionResult:
         """Take one step.
 
@@ -150,24 +151,29 @@ class TrustRegionOptimizer(Optimizer):
                 from the distribution before the step, so it is zero at the first call.
             fisher_closure: () -> kl on fewer rows, for cheaper Fisher-vector products. By
                 default the closure's.
+            fisher_product: v -> F v without damping, for vectors ``[P]`` of all parameters in
+                their order, where it is known in closed form. By default a kl is differentiated
+                twice.
 
         Returns:
             What happened.
 
         Raises:
             TypeError: the closure returns something else.
-            ValueError: loss or kl carries no gradient.
+            ValueError: loss or kl carries no gradient, or both ways to F are given.
         """
+        if fisher_closure is not None and fisher_product is not None:
+            raise ValueError("got fisher_closure and fisher_product; expected one way to F")
         with torch.enable_grad():
             loss, kl = _loss_and_kl(closure)
             _require_gradient(loss, "loss")
             _require_gradient(kl, "kl")
-            gradient = self._gradient(loss, retain_graph=fisher_closure is None)
-            fisher_kl = kl
+            own = fisher_closure is None and fisher_product is None
+            gradient = self._gradient(loss, retain_graph=own)
             if fisher_closure is not None:
-                fisher_kl = fisher_closure()
-                _require_gradient(fisher_kl, "kl of the fisher_closure")
-            product = self._fisher_product(fisher_kl)
+                kl = fisher_closure()
+                _require_gradient(kl, "kl of the fisher_closure")
+            product = self._damped(fisher_product or self._fisher_product(kl))
         norm = float(gradient.norm())
         if not torch.isfinite(gradient).all():
             return TrustRegionResult(False, "not_finite", 0, 0.0, 0.0, 0.0, 0.0, norm)
@@ -203,13 +209,15 @@ class TrustRegionOptimizer(Optimizer):
     def _fisher_product(self, kl: Tensor) -> Callable[[Tensor], Tensor]:
         # One graph serves every product: rebuilding it costs more than the product itself.
         kl_gradient = self._gradient(kl, create_graph=True)
-        damping = self._settings["damping"]
 
         def product(vector: Tensor) -> Tensor:
-            image = self._gradient((kl_gradient * vector).sum(), retain_graph=True)
-            return image.detach() + damping * vector
+            return self._gradient((kl_gradient * vector).sum(), retain_graph=True).detach()
 
         return product
+
+    def _damped(self, product: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
+        damping = self._settings["damping"]
+        return lambda vector: product(vector) + damping * vector
 
     def _assign(self, vector: Tensor) -> None:
         # In place, so that every holder of the parameters (losses, collectors) sees the step.

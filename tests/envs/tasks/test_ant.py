@@ -56,6 +56,13 @@ AUTHORS_LEGS = {  # quadrant, ankle axis, ankle range
     3: ((-1, -1), "-1 1 0", "-70 -30"),
     4: ((1, -1), "1 1 0", "30 70"),
 }
+DISABLED_LEGS = {
+    "normal": (),
+    "disabled": (3, 4),
+    "disabled_left": (2, 3),
+    "disabled_diagonal": (1, 3),
+    "disabled_one": (2,),
+}
 AUTHORS_ORDER = {False: (4, 1, 2, 3), True: (1, 2, 3, 4)}  # of the legs' motors, by disabled
 
 
@@ -113,10 +120,15 @@ def test_one_order_of_motors_and_mass_of_each_body(variant):
     data = mujoco.MjData(model)
     data.ctrl[:] = np.linspace(0.1, 0.8, 8)
     mujoco.mj_forward(model, data)
-    disabled = variant.startswith("disabled")
-    gear = np.repeat([30, 30, 1, 1] if disabled else [30] * 4, 2)
+    legs = DISABLED_LEGS[variant.removesuffix("_rk4")]
+    gear = np.repeat([1 if leg in legs else 30 for leg in (1, 2, 3, 4)], 2)
     np.testing.assert_allclose(data.qfrc_actuator[6:], gear * data.ctrl, rtol=1e-15)
-    assert model.body_mass.sum() == pytest.approx(0.837 if disabled else 0.922, abs=5e-4)
+    assert model.body_mass.sum() == pytest.approx(0.9224 - 0.0427 * len(legs), abs=5e-4)
+
+
+def test_a_leg_that_is_not_there_cannot_be_disabled():
+    with pytest.raises(ValueError, match=r"no leg \[5\]"):
+        Ant(disabled=(1, 5))
 
 
 def test_disabling_changes_the_two_front_legs_alone():

@@ -2,9 +2,12 @@
 
 from types import SimpleNamespace
 
+import pytest
 import torch
 
 from pemirl_lab.measuring.behaviours import behaviour_measures
+from pemirl_lab.measuring.scores import load_test_demonstrations
+from pemirl_trl.methods import METHODS, new_model
 
 NAMES = ["expert", "expert_other_task", "carried_over", "still", "random", "spearman"]
 
@@ -18,8 +21,9 @@ class Forward:
         assert trajectories.batch_size[0] == 2
         return self
 
-    def reward(self, observation, context):
-        return observation[..., 13:14] * context
+    def __call__(self, rollouts):
+        speed = rollouts["observation"][..., 13:14]
+        return rollouts.set("learned_reward", speed * rollouts["context"])
 
 
 def test_a_reward_of_speed_prefers_the_expert_of_the_right_direction(settings):
@@ -31,3 +35,13 @@ def test_a_reward_of_speed_prefers_the_expert_of_the_right_direction(settings):
     assert measured["expert_other_task"] < 0
     assert measured["expert"] > measured["random"]
     assert measured["spearman"] > 0.5
+
+
+@pytest.mark.parametrize("method", ["airl", "meta_infogail", "pemirl"])
+def test_every_kind_of_reward_is_measured(settings, method):
+    given, _ = settings("meta_train", "task=ant", "evaluation.episodes=1", "threads=1")
+    model = new_model(load_test_demonstrations(given), METHODS[method])
+    measured = behaviour_measures(given, model)
+    assert [name.split("/")[1] for name in measured] == NAMES
+    told = measured["behaviour/expert"] == measured["behaviour/expert_other_task"]
+    assert told == (method != "pemirl")  # the others' rewards read no context

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from pemirl_lab.measuring.candidates import of_model
 from pemirl_lab.measuring.learned_rewards import (
     ReportConfig,
     coverage_of,
@@ -33,10 +34,10 @@ def given(settings):
 
 
 def test_coverage_is_what_the_report_states(given, model, demonstrations):
-    coverage = coverage_of(given, EPISODES, model, demonstrations)
+    context = model.encoder.get_dist(demonstrations.trajectories()).mean.detach()
+    coverage = coverage_of(given, EPISODES, context, demonstrations)
     assert {batch.batch_size for batch in coverage.values()} == {(TASKS, EPISODES * 100)}
     true = true_reward("point_maze/right")
-    context = model.encoder.get_dist(demonstrations.trajectories()).mean
     for batch in coverage.values():
         # Every row is its task's, with its demonstration's m and the reward that it was given.
         assert (batch["task", "goal"] == demonstrations.tasks()["goal"][:, None]).all()
@@ -58,7 +59,10 @@ def test_what_a_table_measures_is_what_the_report_measures(settings, given, mode
     assert own.report == ReportConfig()
     few = ReportConfig(episodes=2, resolution=8, epic_transitions=16, epic_samples=8, features=8)
     state = torch.get_rng_state()
-    first, second = (measure_reward(given, few, model, demonstrations).summary() for _ in range(2))
+    first, second = (
+        measure_reward(given, few, of_model(model, demonstrations), demonstrations).summary()
+        for _ in range(2)
+    )
     assert first == second
     assert torch.equal(torch.get_rng_state(), state)
 

@@ -7,6 +7,8 @@ from pemirl_lab.pages.tables import (
     Column,
     cost_table,
     improvement_table,
+    markdown_table,
+    parse_markdown_table,
     returns_table,
     reward_table,
     seeds_table,
@@ -196,3 +198,11 @@ def test_tables_without_results_are_empty():
     assert reward_table(found, {"a": "A"}, {"pemirl": "PEMIRL"}) == ""
     assert cost_table([], rows) == ""
     assert returns_table([]) == ""
+
+
+def test_a_cell_may_hold_a_bar():
+    table = [["sign", "measured"], ["r exploding", "mean |r|, in nats"], ["", "a | b"]]
+    text = markdown_table(table[0], table[1:])
+    assert text.splitlines()[2] == r"| r exploding | mean \|r\|, in nats |"
+    assert parse_markdown_table(text) == table
+    assert parse_markdown_table("a line of text\n") == []

@@ -1,0 +1,182 @@
+"""One demonstration in, its reward out: the puck of puck.py, with the library's defaults.
+
+``python examples/own_puck/run_puck.py 0 1 2`` writes ``results/own_tasks/puck/seed<n>.json`` for
+each seed, some minutes each. True returns are for this report; no learner reads them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import puck as task
+import torch
+from tensordict import TensorDictBase
+from torch import nn
+from torchrl.envs import Compose, EnvBase, StepCounter, Transform, TransformedEnv
+
+from pemirl_lab.results import environment_facts
+from pemirl_trl import (
+    AbsorbingState,
+    ContextPolicy,
+    DemonstrationDataset,
+    InferContext,
+    PEMIRLModel,
+    SampleTasks,
+    adapt,
+    infer,
+    meta_train,
+)
+from pemirl_trl.evaluation import Actor, returns_per_task, whole_episodes
+from pemirl_trl.files import atomic_path
+from pemirl_trl.methods import PolicyOptimization, adaptation_config, train
+
+RESULTS = Path(__file__).parents[2] / "results" / "own_tasks" / "puck"
+EPISODES = 10  # of each unseen gate, for the report
+SHIFT = -1.0  # the pushes are reversed
+
+
+def run(seed: int, training: dict[str, Any], optimization: dict[str, Any]) -> dict[str, Any]:
+    """Meta-train, infer and adapt; what it came to, in true returns per gate.
+
+    Args:
+        seed: of demonstrations and training.
+        training, optimization: settings that differ from the defaults, for a quick look.
+    """
+    began = time.perf_counter()
+    pile = task.demonstrations(400, seed=10_000 + seed)
+    new = task.demonstrations(10, seed=20_000 + seed)
+    model = meta_train(task.make, without_tasks(pile), seed=seed, **training)
+    trained = time.perf_counter()
+    one_each = without_tasks(new)
+    adaptation = adapt(model, one_each, task.make_reversed, seed=seed, **optimization)
+    seconds = {"meta_training": trained - began, "adaptation": time.perf_counter() - trained}
+    inferred = InferContext(
+        model.encoder,
+        new.with_absorbing_states(task.T),
+        rollouts_per_context=EPISODES,
+        draw="all",
+        sample=False,
+        tasks=new.tasks(),
+    )
+    oracle = reinforcement_learning(model, new, seed, optimization)
+    actors: dict[str, tuple[Actor, float]] = {
+        "expert": (act, SHIFT),
+        "random": (None, SHIFT),
+        "carried_over": (model.policy, SHIFT),
+        "adapted": (adaptation.policy, SHIFT),
+        "rl_with_true_reward": (oracle, SHIFT),
+        "one_shot": (model.policy, 1.0),
+    }
+    scores = {name: score(model, inferred, *acting) for name, acting in actors.items()}
+    means = {name: sum(each["returns"]) / len(new) for name, each in scores.items()}
+    worst, best = means["carried_over"], means["rl_with_true_reward"]
+    return {
+        "task": "own_tasks/puck",
+        "seed": seed,
+        "gap_closed": (means["adapted"] - worst) / (best - worst),
+        "means": means,
+        "scores": scores,
+        "demonstrated_lengths": pile.lengths.tolist(),
+        "kept": adaptation.kept,
+        "start": adaptation.start,
+        "tries": dict(adaptation.tries),
+        "learned_return": adaptation.learned_return,
+        "carried_over_learned_return": adaptation.carried_over_return,
+        "warnings": list(adaptation.warnings),
+        "distances": [str(infer(model, one_each[i]).distance) for i in range(len(new))],
+        "adaptation_env_steps": adaptation.env_steps,
+        "seconds": seconds,
+        **environment_facts(),
+    }
+
+
+def without_tasks(demonstrations: DemonstrationDataset) -> DemonstrationDataset:
+    """What a learner is given: observations, actions and how the episodes ended."""
+    return dataclasses.replace(demonstrations, task=None)
+
+
+def environment(n: int, seed: int, transform: Transform, push: float) -> EnvBase:
+    """Whole episodes of what the transform writes at reset, which go on where they end."""
+    base = task.Puck(n, seed, push)
+    return TransformedEnv(base, Compose(AbsorbingState(), StepCounter(task.T), transform))
+
+
+def act(td: TensorDictBase) -> TensorDictBase:
+    """The controller that knows the gate, and that the pushes are reversed."""
+    return td.set("action", task.controller(td["observation"], td["task", "gate"], SHIFT))
+
+
+def score(
+    model: PEMIRLModel, transform: Transform, actor: Actor, push: float
+) -> dict[str, list[float]]:
+    """Of the mean action, in the same episodes for all; one number a gate.
+
+    Returns:
+        True returns; learned ones; shares of episodes that leave the table; and where they end, in
+        metres from the gate.
+    """
+    torch.manual_seed(0)
+    env = environment(10 * EPISODES, 30_000, transform.clone(), push)
+    rollouts = whole_episodes(env, actor, task.T)
+    last, gate = rollouts["next", "observation"][:, -1], rollouts["task", "gate"][:, -1]
+    with torch.no_grad():
+        learned = model.reward.reward(rollouts["observation"], rollouts["context"])
+    each = {
+        "learned_returns": learned.sum((1, 2)),
+        "leaves": last[:, -1],
+        "end_to_gate": (last[:, :2] - gate).norm(dim=-1),
+    }
+    means = {name: values.view(-1, EPISODES).mean(1).tolist() for name, values in each.items()}
+    return {"returns": returns_per_task(rollouts, EPISODES).tolist(), **means}
+
+
+def reinforcement_learning(
+    model: PEMIRLModel, new: DemonstrationDataset, seed: int, settings: dict[str, Any]
+) -> ContextPolicy:
+    """A policy that reads the gate, on the true reward, with adaptation's own settings.
+
+    But for one: an exit is paid for by the step that leads to it, so that the true reward is no
+    function of a step's start, and trajectories for other gates cannot be scored by it.
+    """
+    torch.manual_seed(seed)
+    config = adaptation_config(model, new, settings)
+    rollouts = config.rollouts // len(new)
+    gates = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=rollouts)
+    policy = ContextPolicy(
+        *(model.observation_dim, 2, 2),
+        activation=nn.Tanh,
+        initial_scale=config.policy_scale,
+        learn_scale=False,
+        context_key=("task", "gate"),
+    )
+    method = PolicyOptimization(
+        environment(len(new) * rollouts, seed, gates, SHIFT),
+        policy,
+        task.T,
+        dataclasses.replace(config.optimization, imitate_best=0.0),
+        rollouts_per_context=rollouts,
+    )
+    train(method)
+    return policy
+
+
+def main() -> None:
+    """A result for each seed of the command line."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    torch.set_num_threads(1)
+    for seed in map(int, sys.argv[1:] or ["0"]):
+        result = run(seed, {}, {})
+        RESULTS.mkdir(parents=True, exist_ok=True)
+        with atomic_path(RESULTS / f"seed{seed}.json") as temporary:
+            temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        logging.info("seed %d: gap closed %.3f; %s", seed, result["gap_closed"], result["means"])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,107 @@
+"""Which components of an observation tell tasks apart under dynamics that were not seen."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn.functional import one_hot, softplus
+from torch.optim import Adam
+
+_SPAN = 3.0  # deviations on each side that the bins cover; what lies beyond is in the last ones
+
+
+def held_out_information(
+    observations: Tensor,
+    contexts: Tensor,
+    bodies: Tensor,
+    *,
+    bins: int = 16,
+    samples: int = 24,
+    steps: int = 150,
+    learning_rate: float = 0.05,
+    generator: torch.Generator | None = None,
+) -> Tensor:
+    """What each component alone says about m under dynamics that its reward was not fitted to.
+
+    For each body b and component i, a reward r_i(s_i, m) = w_i[bin(s_i)] . (1, m, m²) is fitted to
+    the demonstrations of all *other* bodies: it tells them from the same ones under the context of
+    another demonstration (the mismatched negatives of :class:`pemirl_trl.methods.BatchConfig`). On
+    those of b its bound on the information is log 2 - cross-entropy, in nats:
+
+        I_bi = log 2 - 1/2 E[softplus(-r_i(s_i, m)) + softplus(r_i(s_i, m'))].
+
+    At most log 2; 0 says nothing; below 0 it is worse than nothing: what the component meant for
+    the task under the other dynamics misleads here. A component whose smallest value over bodies is
+    well above 0 is one that a reward may read where the dynamics change.
+
+    Args:
+        observations: ``[J, T, S]``.
+        contexts: ``[J, D]``, one per demonstration.
+        bodies: ``[J]``, int64: under which dynamics each was made, numbered from 0.
+        bins: of a component, over six deviations.
+        samples: steps drawn from each demonstration, the same for all components.
+        steps, learning_rate: of Adam, on all draws at once.
+        generator: of the draws.
+
+    Returns:
+        ``[bodies, S]``, nats per step.
+
+    Raises:
+        ValueError: shapes that do not fit, or fewer than two bodies.
+    """
+    count, horizon, _ = observations.shape
+    if contexts.shape[:1] != (count,) or bodies.shape != (count,):
+        raise ValueError(
+            f"got {count} demonstrations, contexts {list(contexts.shape)} and bodies "
+            f"{list(bodies.shape)}; expected [{count}, D] and [{count}]"
+        )
+    folds = int(bodies.max()) + 1
+    if folds < 2:
+        raise ValueError("got demonstrations of one body; what holds under another needs two")
+    times = torch.randint(horizon, (count, samples), generator=generator)
+    drawn = observations.detach()[torch.arange(count).unsqueeze(-1), times]  # [J, n, S]
+    flat = drawn.flatten(0, 1)
+    scaled = (drawn - flat.mean(0)) / flat.std(0).clamp(min=1e-6)
+    place = ((scaled + _SPAN) * (bins / (2 * _SPAN))).long().clamp(0, bins - 1)
+    indicator = one_hot(place, bins).float().mean(1)  # the share of steps in each bin [J, S, B]
+    own, other = _features(contexts), _features(contexts)
+    other = other[_within(bodies, generator)]
+    # r of a bin is what counts, and how often it is visited: no need to keep the steps.
+    held = one_hot(bodies, folds).T.float()  # [F, J]
+    weights = torch.zeros(folds, observations.shape[-1], bins, own.shape[-1], requires_grad=True)
+    optimizer = Adam([weights], lr=learning_rate)
+
+    def losses() -> Tensor:  # [F, J, S]
+        total = torch.zeros(())
+        for features, sign in ((own, -1.0), (other, 1.0)):
+            reward = torch.einsum("fsbk,jk->fjsb", weights, features)
+            total = total + 0.5 * (softplus(sign * reward) * indicator).sum(-1)
+        return total
+
+    kept = (1 - held) / (1 - held).sum(1, keepdim=True)
+    for _ in range(steps):
+        loss = torch.einsum("fjs,fj->", losses(), kept) + 1e-4 * weights.square().sum()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    with torch.no_grad():
+        unseen = torch.einsum("fjs,fj->fs", losses(), held / held.sum(1, keepdim=True))
+    return math.log(2) - unseen
+
+
+def _features(contexts: Tensor) -> Tensor:
+    scaled = (contexts - contexts.mean(0)) / contexts.std(0).clamp(min=1e-6)
+    scaled = scaled.detach()
+    return torch.cat([torch.ones(len(scaled), 1), scaled, scaled.square()], -1)
+
+
+def _within(bodies: Tensor, generator: torch.Generator | None) -> Tensor:
+    """For each demonstration another one of the same body, ``[J]``: a random cycle of each."""
+    partner = torch.empty_like(bodies)
+    for body in bodies.unique():
+        rows = (bodies == body).nonzero().flatten()
+        order = rows[torch.randperm(len(rows), generator=generator)]
+        partner[order] = order.roll(1)
+    return partner
