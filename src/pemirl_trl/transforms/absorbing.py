@@ -39,10 +39,12 @@ class AbsorbingState(Transform):
         absorbing_key: where the flag is written.
 
     Example:
-        >>> from torchrl.envs import GymEnv, StepCounter, TransformedEnv
-        >>> env = TransformedEnv(GymEnv("CartPole-v1"), AbsorbingState())
-        >>> env = TransformedEnv(env, StepCounter(300))
-        >>> rollout = env.rollout(300)  # a pole that nobody balances falls after some 20 steps
+        >>> import warnings
+        >>> from torchrl.envs import Compose, GymEnv, StepCounter, TransformedEnv
+        >>> counted = Compose(AbsorbingState(), StepCounter(300))
+        >>> env = TransformedEnv(GymEnv("CartPole-v1"), counted)
+        >>> with warnings.catch_warnings(action="ignore"):  # Gymnasium's, of steps after an end
+        ...     rollout = env.rollout(300)  # a pole that nobody balances falls after some 20 steps
         >>> rollout.shape, bool(rollout["absorbing"][-1])
         (torch.Size([300]), True)
     """

@@ -28,6 +28,8 @@ class OneHotActions(Transform):
         TypeError: another spec.
 
     Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
         >>> OneHotActions(Categorical(4)).inv(
         ...     TensorDict({"action": torch.tensor([0.0, 0.0, 1.0, 0.0])})
