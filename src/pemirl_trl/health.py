@@ -276,7 +276,7 @@ SIGNS: tuple[Sign, ...] = (
     Sign(
         name="r exploding",
         meaning="the reward grows without end",
-        measured="mean |r|, in nats",
+        measured="mean magnitude of r, in nats",
         reads=("reward/magnitude",),
         measure=latest,
         threshold=20.0,
