@@ -169,7 +169,7 @@ def test_the_jobs_of_a_table_are_listed_as_commands(command, here, capsys):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_an_interruption_says_in_a_line_how_to_go_on(command, monkeypatch, number):
+def test_an_interruption_says_in_a_line_how_to_go_on(command, monkeypatch, request, number):
     iteration, begun = PEMIRL.iteration, []
 
     def interrupted(self):
@@ -180,6 +180,9 @@ def test_an_interruption_says_in_a_line_how_to_go_on(command, monkeypatch, numbe
 
     monkeypatch.setattr(PEMIRL, "iteration", interrupted)
     given = [*FEW, "method=pemirl"]
+    if number == signal.SIGINT:  # what Python has, unless this process was told to ignore it
+        before = signal.signal(number, signal.default_int_handler)
+        request.addfinalizer(lambda: signal.signal(number, before))
     with pytest.raises(SystemExit) as stopped:
         command("meta_train", given)
     again = shlex.join(["pemirl", "meta_train", *given])
