@@ -188,11 +188,13 @@ class _GoOn(VectorWrapper):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
+        """Reset the environments of ``options["reset_mask"]``; all without one."""
         mask = None if options is None else options.get("reset_mask")
         self._ended &= False if mask is None else ~mask
         return self.env.reset(seed=seed, options=options)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step all of them, after a reset of those that have ended."""
         if self._ended.any():
             self.env.reset(options={"reset_mask": self._ended})
         result = self.env.step(actions)
