@@ -60,7 +60,8 @@ class Ant(Task):
 
     The task parameter is ``direction``, float32 ``[N, 1]``: 1 (forward) or -1 (backward).
 
-    Splits: ``train``, ``validation`` and ``test`` are the same two directions; there are no others.
+    Splits: ``train``, ``validation``, ``test`` and ``confirm`` are the same two directions; there
+    are no others.
 
     Args:
         disabled: legs (1 to 4) whose thighs and shins are half as long, and whose motors have a
@@ -78,7 +79,7 @@ class Ant(Task):
     task_space = ("torso_velocity_xy",)
     outcomes = MappingProxyType({"speed_m_per_s": speed_along_direction})
     default_split = "train"
-    splits = ("train", "validation", "test")
+    splits = ("train", "validation", "test", "confirm")
 
     def __init__(
         self,

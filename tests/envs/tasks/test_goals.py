@@ -6,14 +6,14 @@ import pemirl_envs
 from pemirl_envs.tasks.goals import GoalBox
 
 BOX = GoalBox(low=(-1.0, 2.0), high=(3.0, 2.5), seed=1)
-SIZES = {"train_100": 100, "validation": 15, "test": 30}
+SIZES = {"train_100": 100, "validation": 15, "test": 30, "confirm": 30}
 
 
 def test_fixed_sets_share_no_goal_and_lie_in_the_box():
     sets = [BOX.task_set(split) for split in SIZES]
     assert [len(goals) for goals in sets] == list(SIZES.values())
     every = torch.cat(sets)
-    assert len(every.unique(dim=0)) == 145
+    assert len(every.unique(dim=0)) == 175
     low, high = BOX.bounds
     assert ((every >= low) & (every <= high)).all()
     assert torch.equal(BOX.task_set("test"), BOX.task_set("test"))
