@@ -135,6 +135,7 @@ def test_fixed_task_sets():
     assert test[:3, 0].tolist() == pytest.approx([0.2474077, 0.5082107, 0.5578249])
     assert train[:3, 0].tolist() == pytest.approx([0.4845742, 0.3523841, 0.4748982])
     assert validation[:3, 0].tolist() == pytest.approx([0.4873493, 0.2488809, 0.5499175])
+    assert confirm[:3, 0].tolist() == pytest.approx([0.0590334, 0.4813827, 0.5593777])
     tall = pemirl_envs.task_parameters("point_maze/stochastic", "test")["goal"]
     assert torch.equal(tall[:, 0], test[:, 0])
     assert tall[:, 1].tolist() == pytest.approx([0.9] * 30)
