@@ -10,8 +10,8 @@
 
 Each seed has its own demonstrations and its own Meta-IL, which all its rows share. A job writes
 ``results/TABLE/ROW/seedN.json``; the same command does what is missing, and resumes what died.
-``pemirl report --write`` turns the files into pages. With ``confirm=true`` the same trained model is
-also measured on tasks, and under a shift, by which nothing was chosen:
+``pemirl report --write`` turns the files into pages. With ``confirm=true`` the same trained model
+is also measured on tasks, and under a shift, by which nothing was chosen:
 ``results/TABLE_confirm/ROW/seedN.json``.
 """
 
@@ -22,7 +22,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from filelock import FileLock
 from pydantic.dataclasses import dataclass
@@ -110,14 +110,19 @@ def confirming(settings: Settings, own: Own) -> tuple[Settings, Own]:
         for setting, names in own.measure.items()
     }
     demonstrations = Path(settings.test_demonstrations).with_name("confirm.safetensors")
-    given = {
+    given: dict[str, Any] = {
         "run_dir": f"{settings.run_dir}/confirm",
         "test_environment": now,
         "test_demonstrations": str(demonstrations),
     }
     table = f"{Path(own.table).stem}_confirm"
     results = Path(own.results).parent.with_name(table) / own.row
-    its = {"table": table, "results": str(results), "test_split": "confirm", "measure": moved}
+    its: dict[str, Any] = {
+        "table": table,
+        "results": str(results),
+        "test_split": "confirm",
+        "measure": moved,
+    }
     resolved = {**settings.resolved, **given, **its}
     return replace(settings, **given, resolved=resolved), replace(own, **its)
 
