@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import one_hot
 
 from pemirl_trl.data import DemonstrationDataset, pair_by_task
-from pemirl_trl.evaluation.task_space import held_out_information
+from pemirl_trl.evaluation.task_space import agreed_contexts, held_out_information
 from pemirl_trl.methods.defaults import meta_training_config
 from pemirl_trl.methods.meta_il import MetaIL
 from pemirl_trl.methods.meta_training import new_model
@@ -92,12 +92,13 @@ def find_task_space(
     model = new_model(told, replace(config, reward_reads="observation"))
     run = stages(on_iteration, None, "find_task_space")
     run("meta-il", MetaIL(model, pairs.trajectories, config.meta_il))
+    trajectories = told.trajectories()
     with torch.no_grad():
-        contexts = model.encoder.get_dist(pairs.trajectories["shown"]).mean
+        means = model.encoder.get_dist(trajectories).mean
     nats = held_out_information(
-        pairs.trajectories["observation"][..., :size],
-        contexts,
-        body[pairs.rows],
+        trajectories["observation"][..., :size],
+        agreed_contexts(means, tasks, body),
+        body,
         generator=torch.Generator().manual_seed(seed),
     )
     worst = nats.min(0).values
