@@ -90,7 +90,7 @@ def run_own(command: str, given: Sequence[str]) -> None:
     try:
         task = parse_words(given, module.OwnEnvironment, rest=True)
         _resumable([command, *given], task.run_dir, lambda: module.run_own(task))
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, ImportError) as error:
         if not _is_ours(error):
             raise
         sys.exit(f"pemirl {command}: {error}")

@@ -34,7 +34,7 @@ from pemirl_lab.runs.own_task import OwnTask, load_make_env
 from pemirl_lab.runs.places import data_file, run_file
 from pemirl_lab.runs.run_folder import RunFolder, say
 from pemirl_lab.runs.settings import Settings
-from pemirl_trl import Adaptation, DemonstrationDataset, PEMIRLModel
+from pemirl_trl import Adaptation, PEMIRLModel
 from pemirl_trl.configuration import CHECKED
 from pemirl_trl.files import load_weights, read_metadata, save_weights
 from pemirl_trl.methods import (
@@ -85,7 +85,7 @@ def run_own(task: OwnEnvironment) -> Adaptation:
     make_env = load_make_env(task.env)
     model_path = run_file(task.model_file, "meta_train")
     model, data_path = load_model(model_path), data_file(task.test_demonstrations)
-    data = DemonstrationDataset.load(data_path)
+    data = task.demonstrations_in(data_path)
     config = adaptation_config(model, data, task.settings)
     folder = task.folder()
     folder.reads("model", model_path)

@@ -81,10 +81,12 @@ class OwnEnvironment(OwnTask):
 def run_own(task: OwnEnvironment) -> PEMIRLModel:
     """Meta-train on an environment of the user's own; there is no ground truth to show."""
     make_env = load_make_env(task.env)
-    data = DemonstrationDataset.load(data_file(task.demonstrations))
+    path = data_file(task.demonstrations)
+    data = task.demonstrations_in(path)
     config = meta_training_config(data, task.preset, task.settings)
     folder = task.folder()
-    load_demonstrations(task.demonstrations, folder)
+    folder.reads("demonstrations", path)
+    say_findings(task.demonstrations, data)
     say(table(found_for_meta_training(data, task.preset, task.settings), config))
 
     def stage(name: str, method: Method, /) -> None:
@@ -108,9 +110,14 @@ def run_own(task: OwnEnvironment) -> PEMIRLModel:
 def load_demonstrations(file: str, folder: RunFolder) -> DemonstrationDataset:
     """The unlabelled pile; what is suspicious about it is said, once a run."""
     demonstrations = DemonstrationDataset.load(folder.reads("demonstrations", data_file(file)))
+    say_findings(file, demonstrations)
+    return demonstrations
+
+
+def say_findings(file: str, demonstrations: DemonstrationDataset) -> None:
+    """Say what is suspicious about demonstrations."""
     for finding in examine(demonstrations):
         say(f"{file}: {finding}")
-    return demonstrations
 
 
 def meta_train(

@@ -16,6 +16,7 @@ from pydantic.dataclasses import dataclass
 from yaml import YAMLError
 
 from pemirl_lab.runs.run_folder import RunFolder
+from pemirl_trl import DemonstrationDataset
 from pemirl_trl.configuration import CHECKED, Count, SeedNumber, typed
 
 Values = TypeVar("Values")
@@ -29,7 +30,9 @@ class OwnTask:
         env: ``"my_module:make_env"``; see :data:`pemirl_trl.methods.MakeEnv`.
         run_dir: where the run writes; the same command resumes it.
         seed, logger, checkpoint_every: as in the other commands.
-        observation_keys: which entries of what it observes make the observation, in this order.
+        observation_keys: which entries of what it observes make the observation, in this order;
+            also of demonstrations that have several entries.
+        discrete_actions: n, of demonstrations whose actions are integers from 0 to n - 1.
         settings: of the library, by their dotted names: what is none of the values above.
     """
 
@@ -39,7 +42,14 @@ class OwnTask:
     logger: Literal["csv", "tensorboard"] | None = "csv"
     checkpoint_every: Count = 25
     observation_keys: Sequence[str] | None = None
+    discrete_actions: Count | None = None
     settings: dict[str, Any] = field(default_factory=dict)
+
+    def demonstrations_in(self, file: Path) -> DemonstrationDataset:
+        """What a file or folder of demonstrations holds, of whatever format."""
+        return DemonstrationDataset.load(
+            file, observation_keys=self.observation_keys, discrete_actions=self.discrete_actions
+        )
 
     def folder(self) -> RunFolder:
         """The folder of the run."""
