@@ -1,4 +1,4 @@
-"""Demonstrations without actions: read where the encoder reads states alone, and refused elsewhere."""
+"""Demonstrations without actions: read where the encoder reads states alone, else refused."""
 
 import dataclasses
 
@@ -56,7 +56,7 @@ def test_what_was_done_is_not_read(encoder, dataset):
 def test_an_encoder_of_actions_says_what_would_do(dataset):
     of_actions, unseen = model(reads="states_and_actions"), without_actions(dataset(GOALS))
     for ask in (lambda: infer(of_actions, unseen[0]), lambda: adapt(of_actions, unseen, None)):
-        with pytest.raises(ValueError, match="reads actions, and of these.*encoder_reads=states"):
+        with pytest.raises(ValueError, match=r"reads actions, and of these.*encoder_reads=states"):
             ask()
     with pytest.raises(ValueError, match="reads actions, and of these"):
         of_actions.encoder.get_dist(unseen.trajectories())
