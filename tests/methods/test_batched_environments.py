@@ -68,7 +68,10 @@ def trained(kind, dataset):
     return model, adapt(model, dataset(torch.tensor([[0.4]])), make_env, **SHORT)
 
 
-@pytest.mark.parametrize(("one", "other"), [("serial", "parallel"), ("sync", "async")])
+PROCESSES = pytest.param("serial", "parallel", marks=pytest.mark.long)  # 26 rounds of starting them
+
+
+@pytest.mark.parametrize(("one", "other"), [PROCESSES, ("sync", "async")])
 def test_other_processes_train_what_this_one_does(dataset, monkeypatch, one, other):
     """Bit for bit, so that which of the two is a question of speed alone."""
     monkeypatch.setattr(own_adaptation, "JUDGED_EPISODES", 4)  # one process for each

@@ -41,13 +41,17 @@ def main(arguments: Sequence[str]) -> None:
         bounds = None
         if given.environment is not None:
             bounds = pemirl_envs.get_task(given.environment).action_bounds
+            wanted, got = len(bounds[0]), demonstrations.action_dim
+            if got not in (0, wanted):
+                parser.exit(2, f"pemirl check: {given.file} has {got} actions, and "
+                            f"{given.environment} takes {wanted}\n")  # fmt: skip
         findings = examine(demonstrations, bounds)
     except (FileNotFoundError, ImportError, ValueError) as error:
         parser.exit(2, f"pemirl check: {error}\n")
     d = demonstrations
     say(
         f"{given.file}: {len(d)} demonstrations of {_lengths(d)}, {d.observation_dim} "
-        f"observed numbers, {d.action_dim} actions; made by: {d.provenance.command}"
+        f"observed numbers, {d.action_dim or 'no'} actions; made by: {d.provenance.command}"
     )
     for finding in findings:
         say(str(finding))

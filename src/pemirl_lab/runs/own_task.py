@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib
+import inspect
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -50,6 +52,22 @@ class OwnTask:
         return DemonstrationDataset.load(
             file, observation_keys=self.observation_keys, discrete_actions=self.discrete_actions
         )
+
+    def when_begun(self, inputs: Mapping[str, Path]) -> Callable[[], RunFolder]:
+        """What makes the folder of the run, once: an environment that is refused leaves none.
+
+        Args:
+            inputs: what the run reads, by role.
+        """
+
+        @functools.cache
+        def opened() -> RunFolder:
+            folder = self.folder()
+            for role, file in inputs.items():
+                folder.reads(role, file)
+            return folder
+
+        return opened
 
     def folder(self) -> RunFolder:
         """The folder of the run."""
@@ -105,9 +123,17 @@ def load_make_env(name: str) -> Callable[[int, int], Any]:
     """The function that ``"my_module:make_env"`` names; modules of the working directory count.
 
     Raises:
-        ValueError: there is no such module or function; says where it was looked for.
+        ValueError: there is no such module or function, and it says where it was looked for; or it
+            cannot be called with a number and a seed.
     """
-    return load_function(name, "env", "make_env")
+    make_env = load_function(name, "env", "make_env")
+    try:
+        inspect.signature(make_env).bind(1, 0)
+    except TypeError as error:
+        raise ValueError(
+            f"env={name}: {error}; it is called as {name.partition(':')[2]}(num_envs, seed)"
+        ) from error
+    return make_env
 
 
 def load_function(name: str, word: str, example: str = "function") -> Callable[..., Any]:
@@ -124,6 +150,12 @@ def load_function(name: str, word: str, example: str = "function") -> Callable[.
     module_name, colon, function = name.partition(":")
     if not (module_name and colon and function):
         raise ValueError(f"{word}={name}: expected module:function, such as my_module:{example}")
+    if module_name.endswith(".py") or "/" in module_name:
+        stem = Path(module_name).stem
+        raise ValueError(
+            f"{word}={name}: expected the name of a module and not of its file: {stem}:{function}, "
+            f"from the folder that {stem}.py lies in"
+        )
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.insert(0, here)
@@ -137,7 +169,11 @@ def load_function(name: str, word: str, example: str = "function") -> Callable[.
         ) from error
     found = getattr(module, function, None)
     if not callable(found):
-        there = [k for k, v in vars(module).items() if callable(v) and not k.startswith("_")]
+        there = [
+            k
+            for k, v in vars(module).items()
+            if callable(v) and not k.startswith("_") and v.__module__ == module_name
+        ]
         raise ValueError(
             f"{word}={name}: {module.__file__} has no function {function}; it has {sorted(there)}"
         )

@@ -20,7 +20,7 @@ from pemirl_trl.data.demonstrations import DemonstrationDataset
 from pemirl_trl.data.lengths import steps_after
 from pemirl_trl.data.validation import episode_names
 
-__all__ = ["Finding", "examine"]
+__all__ = ["Finding", "examine", "examine_actions"]
 
 Severity = Literal["warning", "error"]
 
@@ -96,6 +96,19 @@ def examine(dataset: DemonstrationDataset, action_bounds: Bounds | None = None) 
             _unbounded_scale(dataset) if bounds is None else _bounded_scale(dataset, *bounds)
         )
     return sorted(findings, key=lambda finding: finding.severity != "error")
+
+
+def examine_actions(dataset: DemonstrationDataset, action_bounds: Bounds) -> list[Finding]:
+    """The findings of :func:`examine` about actions beside the bounds of an environment.
+
+    Args:
+        dataset: demonstrations with continuous actions.
+        action_bounds: as there.
+
+    Raises:
+        ValueError: as there.
+    """
+    return [*_bounded_scale(dataset, *_checked_bounds(action_bounds, dataset.action_dim))]
 
 
 def _checked_bounds(bounds: Bounds, dimension: int) -> tuple[Tensor, Tensor]:
