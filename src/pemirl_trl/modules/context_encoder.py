@@ -131,7 +131,10 @@ class GaussianContext(ProbabilisticTensorDictSequential):
         reads_actions: bool = True,
     ) -> None:
         loc_key, scale_key = "context_loc", "context_scale"
-        optional = () if mask_key is None else (mask_key,)
+        optional: tuple[NestedKey, ...] = ()
+        if mask_key is not None:
+            self.mask_key = mask_key
+            optional = (mask_key,)
         in_keys: list[NestedKey] = ["observation", *optional]
         if reads_actions:
             self.action_key: NestedKey = "action"
@@ -146,7 +149,7 @@ class GaussianContext(ProbabilisticTensorDictSequential):
         )
         self.context_dim, self.reads_actions = context_dim, reads_actions
         self.observation_key: NestedKey = "observation"
-        self.context_key, self.mask_key = context_key, mask_key
+        self.context_key = context_key
         self.loc_key, self.scale_key = loc_key, scale_key
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
