@@ -77,7 +77,12 @@ from pemirl_trl.transforms import (
 )
 
 if TYPE_CHECKING:
-    from pemirl_trl.adapters import BatchReward, LearnedRewardVectorWrapper, LearnedRewardWrapper
+    from pemirl_trl.adapters import (
+        AbsorbingStateWrapper,
+        BatchReward,
+        LearnedRewardVectorWrapper,
+        LearnedRewardWrapper,
+    )
     from pemirl_trl.methods import (
         Adaptation,
         Inference,
@@ -94,6 +99,7 @@ __version__ = "0.1.0"
 __all__ = [
     "AIRLDiscriminator",
     "AbsorbingState",
+    "AbsorbingStateWrapper",
     "Adaptation",
     "AttentionContextEncoder",
     "BatchReward",
@@ -165,7 +171,12 @@ _CALLS = {
         "pemirl_trl.methods",
     ),
     **dict.fromkeys(
-        ("BatchReward", "LearnedRewardVectorWrapper", "LearnedRewardWrapper"),
+        (
+            "AbsorbingStateWrapper",
+            "BatchReward",
+            "LearnedRewardVectorWrapper",
+            "LearnedRewardWrapper",
+        ),
         "pemirl_trl.adapters",
     ),
 }
