@@ -179,7 +179,7 @@ def shared_meta_il(settings: Settings, work: Path) -> PEMIRLModel:
     record = {"task": settings.task, "meta_il": str(settings.learning.meta_il)}
     folder = RunFolder(path, record, logger=None, checkpoint_every=settings.checkpoint_every)
     demonstrations = load_demonstrations(settings.demonstrations, folder)
-    return train_meta_il(settings.seed, settings.learning, demonstrations, folder)
+    return train_meta_il(settings, demonstrations, folder)
 
 
 def main() -> None:

@@ -13,6 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 
 from pemirl_trl import PEMIRLModel
 from pemirl_trl.methods import PEMIRLConfig
+from pemirl_trl.modules.network import device_of
 
 
 class PublicCodeInfoLoss:
@@ -27,7 +28,8 @@ class PublicCodeInfoLoss:
     def __init__(
         self, model: PEMIRLModel, demonstrations: TensorDictBase, config: PEMIRLConfig
     ) -> None:
-        self.model, self.demonstrations, self.config = model, demonstrations, config
+        self.model, self.config = model, config
+        self.demonstrations = demonstrations.to(device_of(model))
 
     def __call__(self, rollouts: TensorDictBase) -> TensorDictBase:
         """Compute both losses of rollouts ``[N, T]`` with ``demonstration``, context-major."""

@@ -17,7 +17,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, TypeVar
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+import torch
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 Config = TypeVar("Config")
 
@@ -36,6 +37,25 @@ Share = Annotated[float, Field(ge=0, le=1, strict=True)]
 """A number from 0 to 1."""
 Decay = Annotated[float, Field(gt=0, lt=1, strict=True)]
 """A number between 0 and 1, neither of them included."""
+
+
+def present_device(name: str) -> str:
+    """The name of a device that is here: ``cpu``, ``cuda`` or ``cuda:N``.
+
+    Raises:
+        ValueError: it is no such name, or there is no such device; says what there is.
+    """
+    here = ["cpu", *(f"cuda:{i}" for i in range(torch.cuda.device_count()))]
+    if name in here or (name == "cuda" and len(here) > 1):
+        return name
+    raise ValueError(
+        f"{name!r} is no device that torch {torch.__version__} sees here; expected one of "
+        f"{', '.join(here)}"
+    )
+
+
+Device = Annotated[str, AfterValidator(present_device)]
+"""Where the learner is."""
 
 
 def typed(cls: type[Config], values: Mapping[str, Any], *, at: str = "") -> Config:

@@ -36,6 +36,7 @@ FEW = ("preset=smoke", "threads=1", "logger=null", "run_dir=run", "training.iter
         ("seed=-1", "seed=-1: expected greater than or equal to 0"),
         ("info_estimator=mine", "info_estimator=mine: expected 'lemma2' or 'public_code'"),
         ("model.reward=airl", "model.reward=airl: expected 'shaped' or 'gail'"),
+        ("device=abacus", "device=abacus: 'abacus' is no device that torch"),
         ("logger=wandb", "logger=wandb: expected 'csv' or 'tensorboard'"),
         (
             "adaptation.initial_policy=old",

@@ -98,6 +98,7 @@ def run_own(task: OwnEnvironment) -> Adaptation:
     result = adapt_in_stages(
         *(model, data, make_env, config, stage),
         seed=task.seed,
+        device=task.device,
         choose_start=choose,
         settings=found,
         observation_keys=task.observation_keys,
@@ -145,7 +146,10 @@ def adapt(
     transform = of_demonstrations(model, demonstrations, rollouts)
     count = len(demonstrations) * rollouts
     env = environment(name, count, transform, seed=settings.seed, threads=settings.threads)
-    policy, activation = initial_policy(model, settings.adaptation)
+    # The oracle's reward is the task's own: a function of the CPU.
+    device = "cpu" if true_reward else settings.device
+    policy, activation = initial_policy(model.to(device), settings.adaptation)
+    policy.to(device)
     reward, keys, optimization = _objective(settings, model, name, true_reward)
     diagnostics = None
     if not true_reward:
@@ -161,6 +165,8 @@ def adapt(
         diagnostics=diagnostics,
     )
     folder.train(stage, method, show="return/true")
+    model.cpu()
+    policy.cpu()
     file = folder.file("policy.safetensors" if stage == "adaptation" else f"{stage}.safetensors")
     facts = {"environment": name, "env_steps": str(method.env_steps), "activation": activation}
     save_weights(file, {"policy": policy}, facts)

@@ -18,9 +18,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import field
+from functools import partial
 
 import torch
 from pydantic.dataclasses import dataclass
+from torchrl.envs import EnvBase
 
 import pemirl_envs
 from pemirl_lab.measuring.rollouts import environment
@@ -39,6 +41,7 @@ from pemirl_trl.methods import (
     MetaILConfig,
     MethodConfig,
     PEMIRLConfig,
+    WorkerCollector,
     build,
     meta_train_in_stages,
     meta_training_config,
@@ -48,6 +51,7 @@ from pemirl_trl.methods import (
 )
 from pemirl_trl.methods.defaults import found_for_meta_training, table
 from pemirl_trl.methods.loop import Method
+from pemirl_trl.methods.worker_collection import shares_of
 from pemirl_trl.pretrained import save_model
 
 LEARNED = "return/learned"
@@ -95,6 +99,7 @@ def run_own(task: OwnEnvironment) -> PEMIRLModel:
     model = meta_train_in_stages(
         *(make_env, data, config, stage),
         seed=task.seed,
+        device=task.device,
         task_space=task.task_space,
         observation_keys=task.observation_keys,
     )
@@ -130,14 +135,19 @@ def meta_train(
     demonstrations = load_demonstrations(settings.demonstrations, folder)
     check_sizes(settings, demonstrations)
     if meta_il is None and learning.model.context_dim > 0:
-        meta_il = train_meta_il(settings.seed, learning, demonstrations, folder)
+        meta_il = train_meta_il(settings, demonstrations, folder)
     if learning.algorithm == "meta_il" and meta_il is not None:
         return meta_il
     torch.manual_seed(settings.seed)
     model = new_model(demonstrations, learning, task_space=task_space(settings))
     start_from(model, meta_il, learning)
-    method = build_method(settings, model, demonstrations)
-    folder.train(settings.method, method, show="return/true")
+    env = open_environment(settings, model.to(settings.device), demonstrations)
+    try:
+        method = build_method(settings, model, demonstrations, env)
+        folder.train(settings.method, method, show="return/true")
+    finally:
+        env.close()
+    model.cpu()
     if learning.model.context_dim > 0:
         model.family = training_family(model, demonstrations)
     facts = {"method": settings.method, "env_steps": str(method.env_steps)}
@@ -148,15 +158,17 @@ def meta_train(
 
 
 def train_meta_il(
-    seed: int, learning: MethodConfig, demonstrations: DemonstrationDataset, folder: RunFolder
+    settings: Settings, demonstrations: DemonstrationDataset, folder: RunFolder
 ) -> PEMIRLModel:
     """Meta-IL's encoder and policy, to ``meta_il.safetensors``."""
-    torch.manual_seed(seed)
+    learning = settings.learning
+    torch.manual_seed(settings.seed)
     # It has no use for the reward, which is the same for all methods that share it.
     model = new_model(demonstrations, MethodConfig(model=learning.model), reward="shaped")
     given: MetaILConfig = learning.meta_il
-    method = MetaIL(model, demonstrations.trajectories(), given)
+    method = MetaIL(model.to(settings.device), demonstrations.trajectories(), given)
     folder.train("meta-il", method, show="meta_il/loss_imitation")
+    model.cpu()
     save_model(folder.file("meta_il.safetensors"), model, {"method": "meta_il", "env_steps": "0"})
     return model
 
@@ -167,29 +179,57 @@ def task_space(settings: Settings) -> list[int]:
 
 
 def build_method(
-    settings: Settings, model: PEMIRLModel, demonstrations: DemonstrationDataset
+    settings: Settings,
+    model: PEMIRLModel,
+    demonstrations: DemonstrationDataset,
+    env: EnvBase | WorkerCollector,
 ) -> Method:
-    """The adversarial method, on its environment."""
+    """The adversarial method, on its environment or on the workers that have parts of it."""
     learning, pile = settings.learning, demonstrations.trajectories()
-    rollouts = learning.training.rollouts_per_context
-    transform = InferContext(
-        model.encoder,
-        pile,
-        rollouts_per_context=rollouts,
-        # The environment is reset to the demonstrated task, so that its reward is a metric.
-        tasks=None if demonstrations.task is None else demonstrations.tasks(),
-    )
-    env = environment(
-        settings.environment,
-        learning.contexts_per_batch * rollouts,
-        transform,
-        seed=settings.seed,
-        threads=settings.threads,
-    )
     other = None
     if settings.info_estimator == "public_code" and isinstance(learning.training, PEMIRLConfig):
         other = PublicCodeInfoLoss(model, pile, learning.training)
     return build(learning, model, env, pile, info_loss=other)
+
+
+def open_environment(
+    settings: Settings, model: PEMIRLModel, demonstrations: DemonstrationDataset
+) -> EnvBase | WorkerCollector:
+    """Where the rollouts come from: an environment in this process, or workers with parts of it.
+
+    Raises:
+        RunRefused: these workers cannot be had; says why.
+    """
+    contexts = settings.learning.contexts_per_batch
+    make_env = partial(training_environment, settings, demonstrations)
+    if settings.workers == 0:
+        return make_env(model, contexts)
+    try:
+        shares = shares_of(contexts, settings.workers)
+        return WorkerCollector(make_env, model, shares, cpus=settings.threads)
+    except (ImportError, ValueError) as error:
+        raise RunRefused(f"workers={settings.workers}: {error}") from error
+
+
+def training_environment(
+    settings: Settings, demonstrations: DemonstrationDataset, model: PEMIRLModel, contexts: int
+) -> EnvBase:
+    """The environment of so many contexts, which the model's encoder infers."""
+    rollouts = settings.learning.training.rollouts_per_context
+    transform = InferContext(
+        model.encoder,
+        demonstrations.trajectories(),
+        rollouts_per_context=rollouts,
+        # The environment is reset to the demonstrated task, so that its reward is a metric.
+        tasks=None if demonstrations.task is None else demonstrations.tasks(),
+    )
+    return environment(
+        settings.environment,
+        contexts * rollouts,
+        transform,
+        seed=settings.seed,
+        threads=settings.threads,
+    )
 
 
 def check_sizes(settings: Settings, demonstrations: DemonstrationDataset) -> None:

@@ -253,6 +253,6 @@ def shared_meta_il(settings: Settings, own: Own) -> tuple[PEMIRLModel | None, Pa
             checkpoint_every=settings.checkpoint_every,
         )
         demonstrations = load_demonstrations(settings.demonstrations, folder)
-        trained = train_meta_il(settings.seed, learning, demonstrations, folder)
+        trained = train_meta_il(settings, demonstrations, folder)
         folder.release()
         return trained, run_dir

@@ -49,12 +49,13 @@ def run(settings: Settings, own: Own) -> float:
         seed=settings.seed,
         threads=settings.threads,
     )
-    policy = new_expert(name, given.policy)
+    policy = new_expert(name, given.policy).to(settings.device)
     horizon = pemirl_envs.get_task(name).horizon
     method = PolicyOptimization(
         env, policy, horizon, given.optimization, rollouts_per_context=given.rollouts_per_task
     )
     folder.train("expert", method, show="return/true")
+    policy.cpu()
     tasks, episodes = pemirl_envs.task_parameters(name, "test"), settings.evaluation.episodes
     rollouts = evaluation_episodes(settings, name, policy, of_tasks(tasks, episodes), len(tasks))
     reached = float(returns_per_task(rollouts, episodes).mean())

@@ -19,7 +19,7 @@ from yaml import YAMLError
 
 from pemirl_lab.runs.run_folder import RunFolder
 from pemirl_trl import DemonstrationDataset
-from pemirl_trl.configuration import CHECKED, Count, SeedNumber, typed
+from pemirl_trl.configuration import CHECKED, Count, Device, SeedNumber, typed
 
 Values = TypeVar("Values")
 
@@ -31,7 +31,7 @@ class OwnTask:
     Attributes:
         env: ``"my_module:make_env"``; see :data:`pemirl_trl.methods.MakeEnv`.
         run_dir: where the run writes; the same command resumes it.
-        seed, logger, checkpoint_every: as in the other commands.
+        seed, device, logger, checkpoint_every: as in the other commands.
         observation_keys: which entries of what it observes make the observation, in this order;
             also of demonstrations that have several entries.
         discrete_actions: n, of demonstrations whose actions are integers from 0 to n - 1.
@@ -41,6 +41,7 @@ class OwnTask:
     env: str
     run_dir: str
     seed: SeedNumber = 0
+    device: Device = "cpu"
     logger: Literal["csv", "tensorboard"] | None = "csv"
     checkpoint_every: Count = 25
     observation_keys: Sequence[str] | None = None

@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 from tensordict import TensorDictBase
 
 import pemirl_envs
-from pemirl_trl.configuration import CHECKED, Count, Index, Positive, SeedNumber, typed
+from pemirl_trl.configuration import CHECKED, Count, Device, Index, Positive, SeedNumber, typed
 from pemirl_trl.methods import AdaptationConfig, MethodConfig, PolicyOptimizationConfig
 from pemirl_trl.methods.meta_training import TRAINING
 
@@ -85,8 +85,12 @@ class Settings:
     Attributes:
         seed: of everything that is drawn.
         threads: of the simulator; results do not depend on it.
+        workers: processes of Ray that collect a meta-training's rollouts, each with ``threads``;
+            0 collects in this one. Results depend on it: each worker draws for itself.
         torch_threads: of the learner. Sums of floats depend on how many share them: results are
             bit-exact for a fixed number, 1 for all that is published. More pay on idle cores alone.
+        device: of the learner. Physics, draws and files are the CPU's, whatever it is; sums differ
+            in their last digits between devices.
         logger: of the metrics.
         checkpoint_every: iterations between checkpoints.
         run_dir: where a run writes.
@@ -111,7 +115,9 @@ class Settings:
 
     seed: SeedNumber
     threads: Count
+    workers: Index
     torch_threads: Count
+    device: Device
     logger: Literal["csv", "tensorboard"] | None
     checkpoint_every: Count
     run_dir: str

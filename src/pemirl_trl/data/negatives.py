@@ -66,7 +66,8 @@ class Negatives:
         """Keep one iteration's rollouts, in the place of the oldest if full.
 
         Args:
-            rollouts: batch_size ``[N, T]``, the same N and T every time.
+            rollouts: batch_size ``[N, T]``, the same N and T every time; what is held is on their
+                device.
 
         Raises:
             ValueError: another N or T than before, or a key is missing.
@@ -81,6 +82,8 @@ class Negatives:
         self._device = rollouts.get(self.keys[0]).device
         if self._ring is None:
             self._ring = torch.empty_like(kept.expand(self.capacity, *kept.shape))
+        elif self._ring.get(self.keys[0]).device != self._device:  # a checkpoint's is on the CPU
+            self._ring = self._ring.to(self._device)
         if kept.shape != self._ring.shape[1:]:
             raise ValueError(
                 f"rollouts have batch_size {list(kept.shape)}; "

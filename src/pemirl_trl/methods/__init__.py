@@ -21,6 +21,7 @@ from pemirl_trl.methods.pemirl import PEMIRL, PEMIRLConfig
 from pemirl_trl.methods.policy_optimization import PolicyOptimization, PolicyOptimizationConfig
 from pemirl_trl.methods.task_space import TaskSpace, find_task_space
 from pemirl_trl.methods.trpo import TRPO, TRPOConfig
+from pemirl_trl.methods.worker_collection import WorkerCollector
 
 __all__ = [
     "AIRL",
@@ -53,6 +54,7 @@ __all__ = [
     "TRPOConfig",
     "TaskSpace",
     "TrainingDiverged",
+    "WorkerCollector",
     "adapt",
     "adapt_in_stages",
     "adaptation_config",

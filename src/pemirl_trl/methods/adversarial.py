@@ -19,12 +19,13 @@ from torchrl.envs import EnvBase
 from pemirl_trl.configuration import CHECKED, Count, NonNegative, Positive, Share
 from pemirl_trl.data import Negatives
 from pemirl_trl.functional import PolicyReward, policy_reward
-from pemirl_trl.methods.collection import EpisodeCollector
+from pemirl_trl.methods.collection import Collection, collection
 from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.discriminator_batches import BatchConfig, DiscriminatorBatches
 from pemirl_trl.methods.schedule import AnnealedScale, log_linear
 from pemirl_trl.methods.trpo import TRPO, TRPOConfig
 from pemirl_trl.modules import PEMIRLModel, ShapedReward
+from pemirl_trl.modules.network import device_of
 from pemirl_trl.modules.reading import acted_steps
 
 
@@ -84,7 +85,8 @@ class AdaptiveSampler:
 
     Args:
         model: its policy is moved in place.
-        env: batch size ``[M K]``, with :class:`pemirl_trl.InferContext` over ``demonstrations``.
+        env: batch size ``[M K]``, with :class:`pemirl_trl.InferContext` over ``demonstrations``; or
+            what collects such batches elsewhere (:class:`WorkerCollector`).
         demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``; unlabelled.
         config: of the method.
         encoder_gradient: whether the expert's m carries gradients to the encoder.
@@ -93,16 +95,17 @@ class AdaptiveSampler:
     def __init__(
         self,
         model: PEMIRLModel,
-        env: EnvBase,
+        env: EnvBase | Collection,
         demonstrations: TensorDictBase,
         config: AdversarialConfig,
         *,
         encoder_gradient: bool = False,
     ) -> None:
-        self.policy, self.demonstrations, self.config = model.policy, demonstrations, config
+        self.policy, self.config = model.policy, config
+        self.demonstrations = demonstrations = demonstrations.to(device_of(model))
         self.negatives = Negatives(config.replay_iterations)
         self.imitation_coeff = config.policy.imitation_coeff
-        self._collect = EpisodeCollector(env, model.policy, model.horizon)
+        self._collect = collection(env, model.policy, model.horizon)
         self._batches = DiscriminatorBatches(
             model, demonstrations, self.negatives, config.batch, encoder_gradient=encoder_gradient
         )

@@ -12,6 +12,7 @@ from torchrl.envs import EnvBase
 from pemirl_trl.configuration import CHECKED, Count, NonNegative, Positive
 from pemirl_trl.functional import PolicyReward
 from pemirl_trl.methods.adversarial import AdaptiveSampler, AdversarialConfig, learned_policy_reward
+from pemirl_trl.methods.collection import Collection
 from pemirl_trl.modules import AIRLDiscriminator, PEMIRLModel
 from pemirl_trl.objectives import DiscriminatorLoss
 from pemirl_trl.optim import descend
@@ -48,7 +49,8 @@ class AIRL:
 
     Args:
         model: r_theta, h_phi and pi_omega, trained in place; q_psi, used as it is.
-        env: batch size ``[M K]``, with :class:`pemirl_trl.InferContext` over ``demonstrations``.
+        env: batch size ``[M K]``, with :class:`pemirl_trl.InferContext` over ``demonstrations``; or
+            what collects such batches elsewhere (:class:`WorkerCollector`).
         demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``; unlabelled.
         config: of the training.
 
@@ -57,7 +59,11 @@ class AIRL:
     """
 
     def __init__(
-        self, model: PEMIRLModel, env: EnvBase, demonstrations: TensorDictBase, config: AIRLConfig
+        self,
+        model: PEMIRLModel,
+        env: EnvBase | Collection,
+        demonstrations: TensorDictBase,
+        config: AIRLConfig,
     ) -> None:
         if model.config.reward != "shaped":
             raise ValueError(

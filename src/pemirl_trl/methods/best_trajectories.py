@@ -91,13 +91,15 @@ class BestTrajectories:
                 continue
             candidate.set(key, rollouts[key][row])
         if self.action_bounds is not None:
-            candidate["action"] = candidate["action"].clamp(*self.action_bounds)
+            low, high = (bound.to(best.device) for bound in self.action_bounds)
+            candidate["action"] = candidate["action"].clamp(low, high)
         if self._best is None:
             self._best, better = candidate, torch.ones_like(best, dtype=torch.bool)
         else:
+            self._best = self._best.to(best.device)  # a checkpoint's is on the CPU
             better = best > self._best["return"]
             self._best[better] = candidate[better]
-        foreign = row // self.rollouts_per_context != torch.arange(len(best))
+        foreign = row // self.rollouts_per_context != torch.arange(len(best), device=best.device)
         return {
             "best/return": float(self._best["return"].mean()) * _STRIDE,
             "best/from_other_tasks": float((better & foreign).float().mean()),

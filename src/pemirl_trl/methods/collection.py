@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from copy import deepcopy
 from typing import Any, TypeVar
 
 import torch
@@ -13,21 +15,69 @@ from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 from pemirl_trl.methods.requirements import check_environment
 from pemirl_trl.methods.sampling import sampler_of
 from pemirl_trl.modules.model import Policy
+from pemirl_trl.modules.network import device_of
 from pemirl_trl.transforms import InferContext
 
 Transformed = TypeVar("Transformed", bound=Transform)
 
 
-class EpisodeCollector:
+class Collection(ABC):
+    """Rollouts ``[N, T]`` of whole episodes, one batch a call, and what a training asks of them.
+
+    Args:
+        frames: environment steps of a batch.
+        knows_tasks: whether the environment is reset to the demonstrated tasks.
+
+    Attributes:
+        env_steps: environment steps collected so far, in all.
+    """
+
+    def __init__(self, *, frames: int, knows_tasks: bool) -> None:
+        self.frames, self.knows_tasks = frames, knows_tasks
+        self.env_steps = 0
+
+    @abstractmethod
+    def _batch(self) -> TensorDictBase:
+        """Collect one batch."""
+
+    def __call__(self) -> TensorDictBase:
+        """Collect rollouts ``[N, T]``; raise ValueError if they are not whole episodes."""
+        rollouts = self._batch()
+        self.env_steps += self.frames
+        return rollouts
+
+    def true_return(self, rollouts: TensorDictBase) -> dict[str, float]:
+        """``return/true``: the mean return of rollouts ``[N, T]`` on the environment's own reward.
+
+        Empty where the environment was not reset to the demonstrated tasks: without ground truth
+        its reward is that of some other task.
+        """
+        if not self.knows_tasks:
+            return {}
+        return {"return/true": float(rollouts["next", "reward"].sum(1).mean())}
+
+    def progress(self, iterations: int) -> float:
+        """Where the next of so many iterations stands, from 0 for the first to 1 for the last."""
+        return self.env_steps // self.frames / max(1, iterations - 1)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The steps."""
+        return {"env_steps": self.env_steps}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Take that state back."""
+        self.env_steps = int(state["env_steps"])
+
+
+class EpisodeCollector(Collection):
     """A TorchRL collector that yields one whole episode per environment and iteration.
 
     Args:
         env: batch size ``[N]``; all its episodes last ``horizon`` steps.
-        policy: sampled, and seen live: steps on its parameters count at once.
+        policy: sampled, and seen live: steps on its parameters count at once. Where it is on
+            another device than the environment, a copy of it acts, with the weights of the moment,
+            and rollouts come to its device as a whole.
         horizon: T.
-
-    Attributes:
-        env_steps: environment steps collected so far, in all.
 
     Raises:
         ValueError: the environment is not one that the policy can act in.
@@ -35,14 +85,17 @@ class EpisodeCollector:
 
     def __init__(self, env: EnvBase, policy: Policy, horizon: int) -> None:
         check_environment(env, policy, horizon)
+        super().__init__(
+            frames=env.batch_size[0] * horizon,
+            knows_tasks=all(t.knows_tasks for t in _transforms(env, InferContext)),
+        )
         self.horizon = horizon
-        self.frames = env.batch_size[0] * horizon
-        self.env, self._policy = env, policy
-        self.env_steps = 0
-        self._knows_tasks = all(t.knows_tasks for t in _transforms(env, InferContext))
+        self.env, self._learner, self._device = env, policy, device_of(policy)
+        here = env.device or torch.device("cpu")
+        self._policy = policy if self._device == here else deepcopy(policy).to(here)
         self._collector = Collector(
             env,
-            sampler_of(policy),
+            sampler_of(self._policy),
             frames_per_batch=self.frames,
             total_frames=-1,
             device=env.device,  # said outright, it saves a copy of every step's data
@@ -52,12 +105,14 @@ class EpisodeCollector:
         )
         self._batches: Iterator[TensorDictBase] = iter(self._collector)
 
-    def __call__(self) -> TensorDictBase:
-        """Collect rollouts ``[N, T]``; raise if they are not whole episodes.
+    def _batch(self) -> TensorDictBase:
+        """One batch.
 
         Where a step begins in an absorbing state, the action is set to 0, since none was taken, and
         its log-density to minus the policy's entropy: what the policy's own draw has on average.
         """
+        if self._policy is not self._learner:
+            self._policy.load_state_dict(self._learner.state_dict())
         rollouts = next(self._batches)
         done = rollouts.get(("next", "done"))
         if rollouts.shape[-1] != self.horizon or done[:, :-1].any() or not done[:, -1].all():
@@ -69,34 +124,24 @@ class EpisodeCollector:
             )
         if "absorbing" in rollouts and rollouts["absorbing"].any():
             _settle(rollouts, self._policy)
-        self.env_steps += self.frames
-        return rollouts
-
-    def true_return(self, rollouts: TensorDictBase) -> dict[str, float]:
-        """``return/true``: the mean return of rollouts ``[N, T]`` on the environment's own reward.
-
-        Empty where the environment was not reset to the demonstrated tasks: without ground truth
-        its reward is that of some other task.
-        """
-        if not self._knows_tasks:
-            return {}
-        return {"return/true": float(rollouts["next", "reward"].sum(1).mean())}
-
-    def progress(self, iterations: int) -> float:
-        """Where the next of so many iterations stands, from 0 for the first to 1 for the last."""
-        return self.env_steps // self.frames / max(1, iterations - 1)
+        return rollouts if self._policy is self._learner else rollouts.to(self._device)
 
     def state_dict(self) -> dict[str, Any]:
         """The steps, and the environment's random state where it tells it (``get_rng_state``)."""
         base = _unwrapped(self.env)
         rng = {"rng": base.get_rng_state()} if hasattr(base, "get_rng_state") else {}
-        return {"env_steps": self.env_steps, **rng}
+        return {**super().state_dict(), **rng}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Take that state back."""
-        self.env_steps = int(state["env_steps"])
+        super().load_state_dict(state)
         if "rng" in state:
             _unwrapped(self.env).set_rng_state(state["rng"])
+
+
+def collection(env: EnvBase | Collection, policy: Policy, horizon: int) -> Collection:
+    """What collects a policy's episodes: an :class:`EpisodeCollector`, unless it is given."""
+    return env if isinstance(env, Collection) else EpisodeCollector(env, policy, horizon)
 
 
 @torch.no_grad()

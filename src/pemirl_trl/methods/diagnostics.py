@@ -14,6 +14,7 @@ from pemirl_trl.functional import (
 )
 from pemirl_trl.modules import PEMIRLModel
 from pemirl_trl.modules.family import FAR
+from pemirl_trl.modules.network import device_of
 from pemirl_trl.modules.reading import shown_of
 
 ROWS = 2048
@@ -36,11 +37,12 @@ class Diagnostics:
     def __init__(
         self, model: PEMIRLModel, demonstrations: TensorDictBase, rollouts_per_context: int
     ) -> None:
-        self.model, self.demonstrations = model, demonstrations
+        self.model = model
+        self.demonstrations = demonstrations = demonstrations.to(device_of(model))
         self.rollouts_per_context = rollouts_per_context
         family, observed = model.family, demonstrations["observation"].flatten(0, -2)
-        self._low = observed.amin(0) if family is None else family.low
-        self._high = observed.amax(0) if family is None else family.high
+        self._low = observed.amin(0) if family is None else family.low.to(observed.device)
+        self._high = observed.amax(0) if family is None else family.high.to(observed.device)
         self._reads = [  # r is a function of a step's start; f alone reads the next observation
             key for key in model.reward.in_keys if not (isinstance(key, tuple) and "next" in key)
         ]

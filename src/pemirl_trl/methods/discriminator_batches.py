@@ -13,6 +13,7 @@ from pemirl_trl.configuration import CHECKED, Count, NonNegative, Share
 from pemirl_trl.data import Negatives
 from pemirl_trl.data.negatives import gather_steps
 from pemirl_trl.modules import PEMIRLModel
+from pemirl_trl.modules.network import device_of
 from pemirl_trl.modules.reading import shown_of
 
 NegativeLogProb = Literal["collection", "current"]
@@ -89,7 +90,8 @@ class DiscriminatorBatches:
                 f"mismatched_fraction is {config.mismatched_fraction}, but the model has no "
                 "contexts to confuse; expected 0"
             )
-        self.model, self.demonstrations, self.negatives = model, demonstrations, negatives
+        self.model, self.negatives = model, negatives
+        self.demonstrations = demonstrations.to(device_of(model))
         self.config = config
         self.encoder_gradient = encoder_gradient
 
@@ -122,7 +124,7 @@ class DiscriminatorBatches:
         batch = gather_steps(self.demonstrations.select(*FIELDS[:-1]), index, times)
         batch.set("context", m.unsqueeze(1).expand(*times.shape, -1))
         batch.set("action_log_prob", self._log_prob(batch))
-        return batch.set("is_expert", _flag(times, True))
+        return batch.set("is_expert", _flag(batch["action_log_prob"], True))
 
     @torch.no_grad()
     def _log_prob(self, batch: TensorDictBase) -> Tensor:
@@ -175,9 +177,10 @@ class DiscriminatorBatches:
 
     def _jitter(self, batch: TensorDict) -> None:
         c, shape = self.config, batch["observation"].shape
-        scale = torch.rand(shape[0], 1, 1) * c.jitter_scale * self.model.standardize.scale
-        chosen = (torch.rand(shape[0], 1, 1) < c.jitter_fraction).to(scale.dtype)
-        noise = chosen * scale * torch.randn(shape)
+        unit = self.model.standardize.scale
+        scale = torch.rand(shape[0], 1, 1).to(unit.device) * c.jitter_scale * unit
+        chosen = (torch.rand(shape[0], 1, 1) < c.jitter_fraction).to(scale)
+        noise = chosen * scale * torch.randn(shape).to(scale.device)
         if self.model.config.absorbing:
             noise[..., -1] = 0.0  # an episode has ended, or it has not
         for key in FIELDS[:2]:
@@ -186,8 +189,8 @@ class DiscriminatorBatches:
 
 def _within(lengths: Tensor, shape: tuple[int, ...]) -> Tensor:
     """Times ``[n, k]``, uniform over the first ``lengths`` ``[n]`` steps."""
-    return (torch.rand(shape) * lengths.unsqueeze(-1)).long()
+    return (torch.rand(shape).to(lengths.device) * lengths.unsqueeze(-1)).long()
 
 
 def _flag(like: Tensor, value: bool) -> Tensor:
-    return torch.full(like.shape, value, dtype=torch.bool)
+    return torch.full_like(like, value, dtype=torch.bool)

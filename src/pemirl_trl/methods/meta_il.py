@@ -12,6 +12,7 @@ from torch.optim import Adam
 from pemirl_trl.configuration import CHECKED, Count, NonNegative
 from pemirl_trl.methods.loop import iteration_count
 from pemirl_trl.modules import PEMIRLModel
+from pemirl_trl.modules.network import device_of
 from pemirl_trl.objectives import MetaILLoss
 from pemirl_trl.optim import descend
 
@@ -51,7 +52,8 @@ class MetaIL:
     def __init__(
         self, model: PEMIRLModel, demonstrations: TensorDictBase, config: MetaILConfig
     ) -> None:
-        self.config, self.model, self.demonstrations = config, model, demonstrations
+        self.config, self.model = config, model
+        self.demonstrations = demonstrations.to(device_of(model))
         self.iterations = iteration_count(config.steps, config.steps_per_iteration)
         self.env_steps = 0
         self.loss = MetaILLoss(model.encoder, model.policy, kl_coeff=config.kl_coeff)

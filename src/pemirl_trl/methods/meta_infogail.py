@@ -14,6 +14,7 @@ from torchrl.envs import EnvBase
 from pemirl_trl.configuration import CHECKED, Count, NonNegative
 from pemirl_trl.functional import info_encoder_loss, normalized_within_context
 from pemirl_trl.methods.adversarial import AdaptiveSampler, AdversarialConfig
+from pemirl_trl.methods.collection import Collection
 from pemirl_trl.modules import GAILDiscriminator, PEMIRLModel
 from pemirl_trl.objectives import DiscriminatorLoss
 from pemirl_trl.optim import descend
@@ -46,7 +47,8 @@ class MetaInfoGAIL:
 
     Args:
         model: with ``reward="gail"``; encoder and policy commonly from Meta-IL.
-        env: batch size ``[M K]``, with :class:`pemirl_trl.InferContext` over ``demonstrations``.
+        env: batch size ``[M K]``, with :class:`pemirl_trl.InferContext` over ``demonstrations``; or
+            what collects such batches elsewhere (:class:`WorkerCollector`).
         demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``; unlabelled.
         config: of the training.
 
@@ -57,7 +59,7 @@ class MetaInfoGAIL:
     def __init__(
         self,
         model: PEMIRLModel,
-        env: EnvBase,
+        env: EnvBase | Collection,
         demonstrations: TensorDictBase,
         config: MetaInfoGAILConfig,
     ) -> None:

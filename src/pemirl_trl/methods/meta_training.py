@@ -26,6 +26,7 @@ from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.adversarial import AdversarialConfig, PolicyConfig
 from pemirl_trl.methods.airl import AIRL, AIRLConfig
 from pemirl_trl.methods.averaging import AveragedReward
+from pemirl_trl.methods.collection import Collection
 from pemirl_trl.methods.loop import Method
 from pemirl_trl.methods.meta_il import MetaILConfig
 from pemirl_trl.methods.meta_infogail import MetaInfoGAIL, MetaInfoGAILConfig
@@ -189,7 +190,7 @@ def start_from(model: PEMIRLModel, meta_il: PEMIRLModel | None, config: MethodCo
 def build(
     config: MethodConfig,
     model: PEMIRLModel,
-    env: EnvBase,
+    env: EnvBase | Collection,
     demonstrations: TensorDictBase,
     *,
     info_loss: Callable[[TensorDictBase], TensorDictBase] | None = None,
@@ -199,7 +200,8 @@ def build(
     Args:
         config: of the method.
         model: see :func:`new_model` and :func:`start_from`; trained in place.
-        env: batch size ``[M K]``, with :class:`pemirl_trl.InferContext` over ``demonstrations``.
+        env: batch size ``[M K]``, with :class:`pemirl_trl.InferContext` over ``demonstrations``; or
+            what collects such batches elsewhere (:class:`WorkerCollector`).
         demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``; unlabelled.
         info_loss: another estimator of PEMIRL's information term, for comparisons.
 

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import torch
 from tensordict import TensorDictBase
 
+from pemirl_trl.configuration import present_device
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.evaluation import whole_episodes
 from pemirl_trl.methods.adaptation import AdaptationConfig, initial_policy
@@ -91,6 +92,7 @@ def adapt(
     make_env: MakeEnv,
     *,
     seed: int = 0,
+    device: str = "cpu",
     on_iteration: OnIteration | None = None,
     checkpoint: str | Path | None = None,
     observation_keys: Sequence[str] | None = None,
@@ -106,6 +108,7 @@ def adapt(
         demonstrations: one of each new task; or the file of them.
         make_env: makes the environment to act in, as in :func:`meta_train`.
         seed: of everything random.
+        device: of the learner, as in :func:`meta_train`.
         on_iteration: called with the stage's name, the iteration (from 1) and its metrics.
         checkpoint: folder of checkpoints; the same call resumes a training that died.
         observation_keys: as in :func:`meta_train`.
@@ -128,6 +131,7 @@ def adapt(
     return adapt_in_stages(
         *(model, data, make_env, config, run_stage),
         seed=seed,
+        device=device,
         choose_start=choose,
         settings=found,
         observation_keys=observation_keys,
@@ -142,6 +146,7 @@ def adapt_in_stages(
     run_stage: RunStage,
     *,
     seed: int,
+    device: str = "cpu",
     choose_start: bool,
     settings: str = "",
     observation_keys: Sequence[str] | None = None,
@@ -149,7 +154,7 @@ def adapt_in_stages(
     """What :func:`adapt` does, with another way to run its stages.
 
     Args:
-        model, demonstrations, make_env, seed, observation_keys: as there.
+        model, demonstrations, make_env, seed, device, observation_keys: as there.
         config: of the adaptation.
         run_stage: runs ``"try-fresh"``, ``"try-trained"`` and ``"adaptation"``.
         choose_start: whether there are tries; otherwise the start is ``config.initial_policy``.
@@ -160,7 +165,7 @@ def adapt_in_stages(
     """
     demonstrations = check_demonstrations(model, demonstrations)
     episodes = Episodes(make_env, model, demonstrations, seed, observation_keys=observation_keys)
-    train = _Training(model, demonstrations, episodes, run_stage, seed)
+    train = _Training(model, demonstrations, episodes, run_stage, seed, present_device(device))
     carried = model.trained_policy(config.policy_scale)
     carried_return = train.learned_return(carried)
     tries: dict[str, float] = {}
@@ -209,8 +214,10 @@ class _Training:
         episodes: Episodes,
         run_stage: RunStage,
         seed: int,
+        device: str = "cpu",
     ) -> None:
-        self.model, self.demonstrations, self.seed = model, demonstrations, seed
+        self.model, self.demonstrations = model, demonstrations
+        self.seed, self._device = seed, device
         self.env_steps = 0
         self.history: dict[str, list[Metrics]] = {}
         self._run_stage = run_stage
@@ -221,7 +228,8 @@ class _Training:
         count = len(self.demonstrations)
         rollouts = max(1, config.rollouts // count)
         torch.manual_seed(self.seed)
-        policy, activation = initial_policy(self.model, config)
+        policy, activation = initial_policy(self.model.to(self._device), config)
+        policy.to(self._device)
         env = self._episodes(count * rollouts, self.seed, self._infer(rollouts))
         optimization = PolicyOptimization(
             env,
@@ -235,6 +243,8 @@ class _Training:
         method = _Recorded(optimization)
         self._run_stage(stage, method)
         env.close(raise_if_closed=False)  # a collector may have closed it
+        self.model.cpu()
+        policy.cpu()
         self.env_steps += method.env_steps
         self.history[stage] = method.history
         return policy, activation

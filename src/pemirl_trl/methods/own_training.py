@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 
+from pemirl_trl.configuration import present_device
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.defaults import found_for_meta_training, meta_training_config, table
 from pemirl_trl.methods.early_ends import for_training
@@ -30,6 +31,7 @@ def meta_train(
     *,
     task_space: Sequence[int] | None = None,
     seed: int = 0,
+    device: str = "cpu",
     on_iteration: OnIteration | None = None,
     checkpoint: str | Path | None = None,
     observation_keys: Sequence[str] | None = None,
@@ -52,6 +54,8 @@ def meta_train(
             ``"paper"``, the published method.
         task_space: which components of an observation the task is about, for ``"contrastive"``.
         seed: of everything random.
+        device: of the learner, ``"cuda"`` where there is one; the environment stays where it is,
+            and the model comes back to the CPU.
         on_iteration: called with the stage's name, the iteration (from 1) and its metrics.
         checkpoint: folder of checkpoints; the same call resumes a training that died.
         observation_keys: of an environment that observes several things: which of them make up the
@@ -73,6 +77,7 @@ def meta_train(
     return meta_train_in_stages(
         *(make_env, data, config, run_stage),
         seed=seed,
+        device=device,
         task_space=task_space,
         observation_keys=observation_keys,
     )
@@ -85,33 +90,36 @@ def meta_train_in_stages(
     run_stage: RunStage,
     *,
     seed: int,
+    device: str = "cpu",
     task_space: Sequence[int] | None = None,
     observation_keys: Sequence[str] | None = None,
 ) -> PEMIRLModel:
     """What :func:`meta_train` does, with another way to run its two stages.
 
     Args:
-        make_env, demonstrations, seed, task_space, observation_keys: as there.
+        make_env, demonstrations, seed, device, task_space, observation_keys: as there.
         config: of the method.
         run_stage: runs ``"meta-il"`` and ``"meta-training"``.
 
     Raises:
         ValueError, TrainingDiverged: as there.
     """
+    present_device(device)
     demonstrations, config = for_training(make_env, demonstrations, config, seed, observation_keys)
     torch.manual_seed(seed)
     meta_il = new_model(demonstrations, config, task_space=task_space)
     episodes = Episodes(make_env, meta_il, demonstrations, seed, observation_keys=observation_keys)
     pile = demonstrations.trajectories()
-    run_stage("meta-il", MetaIL(meta_il, pile, config.meta_il))
+    run_stage("meta-il", MetaIL(meta_il.to(device), pile, config.meta_il))
     torch.manual_seed(seed)
     model = new_model(demonstrations, config, task_space=task_space)
-    start_from(model, meta_il, config)
+    start_from(model.to(device), meta_il, config)
     rollouts = config.training.rollouts_per_context
     infer = InferContext(model.encoder, pile, rollouts_per_context=rollouts)
     env = episodes(config.contexts_per_batch * rollouts, seed, infer)
     run_stage("meta-training", build(config, model, env, pile))
     env.close(raise_if_closed=False)  # a collector may have closed it
+    model.cpu()
     model.family = training_family(model, demonstrations)
     return model
 

@@ -17,6 +17,7 @@ from torchrl.envs import EnvBase
 from pemirl_trl.configuration import CHECKED, Count, NonNegative
 from pemirl_trl.methods.adversarial import AdaptiveSampler, PolicyConfig, learned_policy_reward
 from pemirl_trl.methods.airl import AIRLConfig, set_learning_rate
+from pemirl_trl.methods.collection import Collection
 from pemirl_trl.methods.discriminator_batches import BatchConfig
 from pemirl_trl.methods.trpo import TRPOConfig
 from pemirl_trl.modules import AIRLDiscriminator, PEMIRLModel
@@ -140,7 +141,8 @@ class PEMIRL:
     Args:
         model: q_psi, r_theta, h_phi and pi_omega, trained in place; q_psi commonly initialised by
             Meta-IL and pi_omega fresh.
-        env: batch size ``[M K]``, with :class:`pemirl_trl.InferContext` over ``demonstrations``.
+        env: batch size ``[M K]``, with :class:`pemirl_trl.InferContext` over ``demonstrations``; or
+            what collects such batches elsewhere (:class:`WorkerCollector`).
         demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``; unlabelled.
         config: of the training.
         info_loss: another estimator of the information term, with :class:`InfoLoss`'s interface,
@@ -153,7 +155,7 @@ class PEMIRL:
     def __init__(
         self,
         model: PEMIRLModel,
-        env: EnvBase,
+        env: EnvBase | Collection,
         demonstrations: TensorDictBase,
         config: PEMIRLConfig,
         *,

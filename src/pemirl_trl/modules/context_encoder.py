@@ -25,9 +25,25 @@ from pemirl_trl.modules.reading import trajectories_of
 from pemirl_trl.modules.standardize import Standardize
 
 
+class _DrawnOnCPU(Normal):
+    """Draws with the CPU's generator for parameters elsewhere: a seed means one noise."""
+
+    def rsample(self, sample_shape: Any = ()) -> Tensor:
+        noise = torch.randn(self._extended_shape(sample_shape), dtype=self.loc.dtype)
+        return self.loc + noise.to(self.loc.device) * self.scale
+
+    @torch.no_grad()
+    def sample(self, sample_shape: Any = ()) -> Tensor:
+        return self.rsample(sample_shape)
+
+
 def diagonal_normal(loc: Tensor, scale: Tensor) -> Independent:
-    """Return N(loc, diag(scale^2)) with event dimension D, for ``[..., D]`` arguments."""
-    return Independent(Normal(loc, scale, validate_args=False), 1, validate_args=False)
+    """Return N(loc, diag(scale^2)) with event dimension D, for ``[..., D]`` arguments.
+
+    It is drawn from with the CPU's generator, also where the arguments are on another device.
+    """
+    kind = Normal if loc.device.type == "cpu" else _DrawnOnCPU
+    return Independent(kind(loc, scale, validate_args=False), 1, validate_args=False)
 
 
 def valid_inputs(mask: Tensor | None, *parts: Tensor) -> tuple[Tensor, Tensor]:

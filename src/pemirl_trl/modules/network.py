@@ -9,6 +9,12 @@ from torch import Tensor, nn
 from torchrl.modules import MLP
 
 
+def device_of(module: nn.Module) -> torch.device:
+    """Where a network's weights are; the CPU for a module without any."""
+    weights = next(module.parameters(), None)
+    return torch.device("cpu") if weights is None else weights.device
+
+
 class RowwiseMLP(MLP):
     """An MLP that sees any batch as rows, and whose ReLUs work in place.
 

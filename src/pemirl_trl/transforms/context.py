@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
+from pemirl_trl.modules.network import device_of
 from pemirl_trl.modules.reading import ENCODER, read, shown_of, trajectories_of
 
 Draw = Literal["random", "all"]
@@ -90,10 +91,11 @@ class InferContext(Transform):
                 f"got {demonstrations.batch_size[0]} demonstrations and {tasks.batch_size[0]} tasks"
             )
         super().__init__(in_keys=[], out_keys=[context_key, index_key])
-        self.encoder = encoder
         self.rollouts_per_context = rollouts_per_context
         self.draw, self.sample = draw, sample
         self.context_key, self.index_key, self.task_key = context_key, index_key, task_key
+        # The learner's: an environment that moves to another device leaves it where it is.
+        self.__dict__["encoder"] = encoder
         # Data, not state: kept out of the environment's state_dict.
         self.__dict__["_demonstrations"] = demonstrations
         self.__dict__["_tasks"] = tasks
@@ -143,8 +145,11 @@ class InferContext(Transform):
 
     @torch.no_grad()
     def _infer(self, index: Tensor) -> Tensor:
-        posterior = self.encoder.get_dist(shown_of(self._demonstrations)[index])
-        return posterior.sample() if self.sample else posterior.mean
+        drawn = shown_of(self._demonstrations)[index].to(device_of(self.encoder))
+        posterior = self.encoder.get_dist(drawn)
+        return (posterior.sample() if self.sample else posterior.mean).to(
+            self.parent.device or "cpu"
+        )
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase

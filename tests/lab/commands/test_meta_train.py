@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from pemirl_lab.commands import meta_train
-from pemirl_lab.commands.meta_train import build_method, check_sizes, task_space
+from pemirl_lab.commands.meta_train import build_method, check_sizes, open_environment, task_space
 from pemirl_lab.public_code import PublicCodeInfoLoss
 from pemirl_lab.runs.run_folder import RunFolder
 from pemirl_trl import DemonstrationDataset
@@ -61,12 +61,13 @@ def test_the_options_of_a_method_reach_it(settings, demonstrations):
     options = ("reward_average_decay=0.9", "info_estimator=public_code")
     given, _ = settings("meta_train", "preset=smoke", *options)
     model = new_model(demonstrations, given.learning)
-    method = build_method(given, model, demonstrations)
+    env = open_environment(given, model, demonstrations)
+    method = build_method(given, model, demonstrations, env)
     assert isinstance(method, AveragedReward)
     assert method.model is model
     assert isinstance(method.method._info_loss, PublicCodeInfoLoss)
     given, _ = settings("meta_train", "preset=smoke", "method=pemirl")
-    assert isinstance(build_method(given, model, demonstrations)._info_loss, InfoLoss)
+    assert isinstance(build_method(given, model, demonstrations, env)._info_loss, InfoLoss)
 
 
 def test_a_reward_may_read_what_the_task_is_about(settings):
