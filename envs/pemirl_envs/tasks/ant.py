@@ -92,7 +92,7 @@ class Ant(Task):
             raise ValueError(f"there is no leg {unknown}; legs are {list(_LEGS)}")
         self._disabled_legs = tuple(legs)
         self._integrator = integrator
-        forward, backward = torch.tensor(_DIRECTIONS)
+        forward, backward = torch.tensor(_DIRECTIONS, dtype=torch.float32)
         self.parameter_bounds = {"direction": (backward, forward)}
 
     def build_spec(self) -> mujoco.MjSpec:
@@ -108,13 +108,13 @@ class Ant(Task):
         """Both directions, forward first, float32 ``[2, 1]``: every split is this set."""
         if split not in self.splits:
             raise ValueError(f"{split!r} is not a finite split; expected one of {self.splits}")
-        return {"direction": torch.tensor(_DIRECTIONS)}
+        return {"direction": torch.tensor(_DIRECTIONS, dtype=torch.float32)}
 
     def sample_parameters(self, n: int, split: str, generator: Generator) -> dict[str, Tensor]:
         """Draws ``n`` directions, float32 ``[N, 1]``, each with probability 1/2."""
         if split not in self.splits:
             raise ValueError(f"unknown split {split!r}; expected one of {self.splits}")
-        directions = torch.tensor(_DIRECTIONS)
+        directions = torch.tensor(_DIRECTIONS, dtype=torch.float32)
         return {"direction": directions[torch.randint(2, (n,), generator=generator)]}
 
     def validate_parameters(

@@ -46,7 +46,7 @@ class SeveralBodies(Task):
                 raise ValueError(f"body {i} has a model of sizes {sizes}; body 0 has {wanted}")
         self._own_key = self.task_key
         self._bodies = list(bodies)
-        bounds = (torch.zeros(len(bodies)), torch.ones(len(bodies)))
+        bounds = (torch.zeros(len(bodies), dtype=torch.float32), torch.ones(len(bodies), dtype=torch.float32))
         self.parameter_bounds = {**self.parameter_bounds, "body": bounds}
 
     @property
@@ -67,10 +67,10 @@ class SeveralBodies(Task):
         own, count = super().task_set(split), len(self._bodies)  # type: ignore[safe-super]
         tasks = {name: value.repeat_interleave(count, 0) for name, value in own.items()}
         rows = len(next(iter(tasks.values())))
-        return {**tasks, "body": torch.eye(count).repeat(rows // count, 1)}
+        return {**tasks, "body": torch.eye(count, dtype=torch.float32).repeat(rows // count, 1)}
 
     def sample_parameters(self, n: int, split: str, generator: Generator) -> dict[str, Tensor]:
         """Draws ``n`` tasks, each in a body drawn uniformly."""
         drawn = super().sample_parameters(n, split, generator)  # type: ignore[safe-super]
         body = torch.randint(len(self._bodies), (n,), generator=generator)
-        return {**drawn, "body": torch.eye(len(self._bodies))[body]}
+        return {**drawn, "body": torch.eye(len(self._bodies), dtype=torch.float32)[body]}
