@@ -11,7 +11,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from pemirl_trl.methods.requirements import check_environment
-from pemirl_trl.methods.sampling import sampler_of
+from pemirl_trl.methods.sampling import GaussianSampler, sampler_of
 from pemirl_trl.modules.model import Policy
 from pemirl_trl.transforms import InferContext
 
@@ -40,9 +40,10 @@ class EpisodeCollector:
         self.env, self._policy = env, policy
         self.env_steps = 0
         self._knows_tasks = all(t.knows_tasks for t in _transforms(env, InferContext))
+        self._sampler = sampler_of(policy)
         self._collector = Collector(
             env,
-            sampler_of(policy),
+            self._sampler,
             frames_per_batch=self.frames,
             total_frames=-1,
             device=env.device,  # said outright, it saves a copy of every step's data
@@ -59,6 +60,8 @@ class EpisodeCollector:
         its log-density to minus the policy's entropy: what the policy's own draw has on average.
         """
         rollouts = next(self._batches)
+        if isinstance(self._sampler, GaussianSampler):
+            self._sampler.complete(rollouts)
         done = rollouts.get(("next", "done"))
         if rollouts.shape[-1] != self.horizon or done[:, :-1].any() or not done[:, -1].all():
             raise ValueError(
