@@ -88,6 +88,7 @@ class AdaptiveSampler:
         demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``; unlabelled.
         config: of the method.
         encoder_gradient: whether the expert's m carries gradients to the encoder.
+        encoder_held: whether the method leaves the encoder as it is.
     """
 
     def __init__(
@@ -98,13 +99,19 @@ class AdaptiveSampler:
         config: AdversarialConfig,
         *,
         encoder_gradient: bool = False,
+        encoder_held: bool = False,
     ) -> None:
         self.policy, self.demonstrations, self.config = model.policy, demonstrations, config
         self.negatives = Negatives(config.replay_iterations)
         self.imitation_coeff = config.policy.imitation_coeff
         self._collect = EpisodeCollector(env, model.policy, model.horizon)
         self._batches = DiscriminatorBatches(
-            model, demonstrations, self.negatives, config.batch, encoder_gradient=encoder_gradient
+            model,
+            demonstrations,
+            self.negatives,
+            config.batch,
+            encoder_gradient=encoder_gradient,
+            encoder_held=encoder_held,
         )
         stretch = (config.policy.anneal_begin, config.policy.anneal_finish)
         self._scale = AnnealedScale(self.policy.log_scale, config.policy.final_scale, *stretch)
