@@ -126,10 +126,10 @@ class ShapedReward(TensorDictModuleBase):
     def _potentials(
         self, observation: Tensor, next_observation: Tensor, context: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """h(s, m) and h(s', m); along rollouts, where each s' is the following s, h of each once."""
+        """h(s, m) and h(s', m); along rollouts, where s' is the following s, h of each once."""
         if not _along_rollouts(observation, next_observation, context):
-            now, then = observation, next_observation
-            return self.potential(now, context), self.potential(then, context)
+            potential = self.potential(observation, context)
+            return potential, self.potential(next_observation, context)
         states = torch.cat([observation, next_observation[:, -1:]], 1)  # [N, T + 1, S]
         potential = self.potential(states, context[:, :1])
         return potential[:, :-1], potential[:, 1:]
