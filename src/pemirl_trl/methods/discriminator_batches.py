@@ -15,6 +15,7 @@ from pemirl_trl.data import Negatives
 from pemirl_trl.data.negatives import gather_steps
 from pemirl_trl.modules import PEMIRLModel
 from pemirl_trl.modules.context_encoder import diagonal_normal
+from pemirl_trl.modules.reading import shown_of
 
 NegativeLogProb = Literal["collection", "current"]
 FIELDS = ("observation", ("next", "observation"), "action", "context")
@@ -141,7 +142,7 @@ class DiscriminatorBatches:
         """The q(m | demonstration) of those in ``index`` ``[n]``."""
         encoder = self.model.encoder
         if not self.encoder_held:
-            drawn = self.demonstrations.select(*encoder.in_keys, strict=False)[index]
+            drawn = shown_of(self.demonstrations).select(*encoder.in_keys, strict=False)[index]
             with torch.set_grad_enabled(self.encoder_gradient):
                 return encoder.get_dist(drawn)
         weights = [(weight.data_ptr(), weight._version) for weight in encoder.parameters()]
@@ -152,7 +153,7 @@ class DiscriminatorBatches:
     @torch.no_grad()
     def _posterior_of_all(self) -> tuple[Tensor, Tensor]:
         encoder = self.model.encoder
-        trajectories = self.demonstrations.select(*encoder.in_keys, strict=False)
+        trajectories = shown_of(self.demonstrations).select(*encoder.in_keys, strict=False)
         each = [encoder.get_dist(part) for part in trajectories.split(self.config.trajectories)]
         return torch.cat([q.mean for q in each]), torch.cat([q.stddev for q in each])
 
