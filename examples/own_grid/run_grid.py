@@ -21,30 +21,34 @@ from typing import Any
 import grid as task
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
-from torch import Tensor, nn
+from torch import nn
 from torchrl.envs import Compose, EnvBase, StepCounter, Transform, TransformedEnv
 
 from pemirl_lab.commands.adapt_reward import load_adapted
-from pemirl_lab.results import environment_facts
+from pemirl_lab.measuring.own_proofs import (
+    EPISODES,
+    distances,
+    of_contexts,
+    of_tasks,
+    result,
+    train_on_true_reward,
+    without_tasks,
+    write_results,
+)
 from pemirl_trl import (
     CategoricalPolicy,
     DemonstrationDataset,
-    InferContext,
     JoinObservations,
     OneHotActions,
     PEMIRLModel,
-    SampleTasks,
     infer,
     load_model,
 )
 from pemirl_trl.evaluation import Actor, episode_returns
-from pemirl_trl.files import atomic_path
-from pemirl_trl.methods import PolicyOptimization, adaptation_config, train
+from pemirl_trl.methods import adaptation_config
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parents[1] / "results" / "own_tasks" / "grid"
-EPISODES = 10  # of each unseen goal, for the report
 GOALS = 10
 GOAL = ("task", "goal")
 TURNED = -1  # every move does the opposite
@@ -76,15 +80,7 @@ def run(seed: int, folder: Path, settings: Sequence[str] = (), adapting: Any = N
     )
     model = load_model(model_file)
     policy, _ = load_adapted(folder / "adapt" / "policy.safetensors", model)
-    inferred = InferContext(
-        model.encoder,
-        new,
-        rollouts_per_context=EPISODES,
-        draw="all",
-        sample=False,
-        tasks=new.tasks(),
-    )
-    goals = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=EPISODES)
+    inferred, goals = of_contexts(model, new), of_tasks(new)
     returns = {
         "expert": score(goals, expert),
         "random": score(goals, None),
@@ -96,24 +92,18 @@ def run(seed: int, folder: Path, settings: Sequence[str] = (), adapting: Any = N
         "one_shot": score(inferred, model.policy, keys=1),
     }
     means = {name: sum(each) / len(each) for name, each in returns.items()}
-    worst, best = means["carried_over"], means["rl_with_true_reward"]
-    told = json.loads((folder / "adapt" / "adaptation.json").read_text("utf-8"))
-    one_each = without_tasks(new)
-    return {
-        "task": "own_tasks/grid",
-        "seed": seed,
-        "gap_closed": (means["adapted"] - worst) / (best - worst),
-        "means": means,
-        "per_goal": returns,
-        **{name: told[name] for name in ("kept", "start", "tries", "learned_return", "warnings")},
-        "carried_over_learned_return": told["carried_over_return"],
-        "distances": [str(infer(model, one_each[i]).distance) for i in range(GOALS)],
-        "reward_at_goal": share_at_goal(model, new),
-        "adaptation_env_steps": told["env_steps"],
-        "settings": {"meta_train": [*settings], "adapt_reward": words(adapting or {})},
-        "seconds": {"meta_training": trained, "adaptation": adapted},
-        **environment_facts(),
-    }
+    said = json.loads((folder / "adapt" / "adaptation.json").read_text("utf-8"))
+    return result(
+        *("grid", seed, means),
+        per_goal=returns,
+        **{name: said[name] for name in ("kept", "start", "tries", "learned_return", "warnings")},
+        carried_over_learned_return=said["carried_over_return"],
+        distances=distances(model, new),
+        reward_at_goal=share_at_goal(model, new),
+        adaptation_env_steps=said["env_steps"],
+        settings={"meta_train": [*settings], "adapt_reward": words(adapting or {})},
+        seconds={"meta_training": trained, "adaptation": adapted},
+    )
 
 
 def command(*arguments: str) -> float:
@@ -131,11 +121,6 @@ def words(settings: dict[str, Any], prefix: str = "") -> list[str]:
         nested = isinstance(value, dict)
         found += words(value, f"{prefix}{name}.") if nested else [f"{prefix}{name}={value}"]
     return found
-
-
-def without_tasks(demonstrations: DemonstrationDataset) -> DemonstrationDataset:
-    """What a learner is given: observations and actions."""
-    return DemonstrationDataset(demonstrations.observation, demonstrations.action)
 
 
 def environment(n: int, seed: int, transform: Transform, keys: int) -> EnvBase:
@@ -177,41 +162,33 @@ def reinforcement_learning(
     torch.manual_seed(seed)
     config = adaptation_config(model, new, settings)
     rollouts = config.rollouts // len(new)
-    goals = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=rollouts)
     policy = CategoricalPolicy(
         *(2, len(task.MOVES), 2),
         activation=nn.Tanh,
         initial_scale=config.policy_scale,
         context_key=GOAL,
     )
-
-    def reward(observation: Tensor, goal: Tensor) -> Tensor:
-        return task.true_reward(observation, goal)
-
-    method = PolicyOptimization(
-        environment(len(new) * rollouts, seed, goals, TURNED),
+    train_on_true_reward(
         policy,
+        environment(len(new) * rollouts, seed, of_tasks(new, rollouts), TURNED),
         task.T,
         config.optimization,
-        rollouts_per_context=rollouts,
-        reward=TensorDictModule(reward, ["observation", GOAL], ["learned_reward"]),
-        task_keys=(GOAL,),
+        rollouts=rollouts,
+        reward=task.true_reward,
+        task_key=GOAL,
     )
-    train(method)
     return policy
+
+
+def in_a_folder(seed: int) -> dict[str, Any]:
+    """A run whose files are not kept."""
+    with tempfile.TemporaryDirectory() as folder:
+        return run(seed, Path(folder))
 
 
 def main() -> None:
     """A result for each seed of the command line."""
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
-    torch.set_num_threads(1)
-    for seed in map(int, sys.argv[1:] or ["0"]):
-        with tempfile.TemporaryDirectory() as folder:
-            result = run(seed, Path(folder))
-        RESULTS.mkdir(parents=True, exist_ok=True)
-        with atomic_path(RESULTS / f"seed{seed}.json") as temporary:
-            temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-        logging.info("seed %d: gap closed %.3f; %s", seed, result["gap_closed"], result["means"])
+    write_results(RESULTS, in_a_folder, sys.argv[1:])
 
 
 if __name__ == "__main__":

@@ -7,8 +7,6 @@ mass (``pendulum_light``). True returns are for this report; no learner reads th
 
 from __future__ import annotations
 
-import json
-import logging
 import sys
 import time
 from dataclasses import dataclass
@@ -18,27 +16,31 @@ from typing import Any
 import pendulum as task
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
-from torch import Tensor, nn
+from torch import nn
 from torchrl.envs import Compose, EnvBase, StepCounter, Transform, TransformedEnv
 
-from pemirl_lab.results import environment_facts
+from pemirl_lab.measuring.own_proofs import (
+    EPISODES,
+    distances,
+    of_contexts,
+    of_tasks,
+    result,
+    told,
+    train_on_true_reward,
+    without_tasks,
+    write_results,
+)
 from pemirl_trl import (
     ContextPolicy,
     DemonstrationDataset,
-    InferContext,
     PEMIRLModel,
-    SampleTasks,
     adapt,
-    infer,
     meta_train,
 )
 from pemirl_trl.evaluation import Actor, episode_returns
-from pemirl_trl.files import atomic_path
-from pemirl_trl.methods import MakeEnv, PolicyOptimization, adaptation_config, train
+from pemirl_trl.methods import MakeEnv, adaptation_config
 
 RESULTS = Path(__file__).parents[2] / "results" / "own_tasks"
-EPISODES = 10  # of each unseen target, for the report
 
 
 @dataclass(frozen=True)
@@ -88,18 +90,9 @@ def measure(
     """Adapt a model, and score it; ``meta_training``: the seconds that it took."""
     new = task.demonstrations(10, seed=20_000 + seed)
     trained = time.perf_counter()
-    one_each = without_tasks(new)
-    adaptation = adapt(model, one_each, change.make, seed=seed, **optimization)
+    adaptation = adapt(model, without_tasks(new), change.make, seed=seed, **optimization)
     seconds = {"meta_training": meta_training, "adaptation": time.perf_counter() - trained}
-    inferred = InferContext(
-        model.encoder,
-        new,
-        rollouts_per_context=EPISODES,
-        draw="all",
-        sample=False,
-        tasks=new.tasks(),
-    )
-    targets = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=EPISODES)
+    inferred, targets = of_contexts(model, new), of_tasks(new)
     oracle = reinforcement_learning(model, new, seed, optimization, change.make)
     returns = {
         "expert": score(targets, expert(change), change.make),
@@ -110,29 +103,13 @@ def measure(
         "one_shot": score(inferred, model.policy, task.make),
     }
     means = {name: sum(each) / len(each) for name, each in returns.items()}
-    worst, best = means["carried_over"], means["rl_with_true_reward"]
-    return {
-        "task": f"own_tasks/{change.name}",
-        "seed": seed,
-        "gap_closed": (means["adapted"] - worst) / (best - worst),
-        "means": means,
-        "per_target": returns,
-        "kept": adaptation.kept,
-        "start": adaptation.start,
-        "tries": dict(adaptation.tries),
-        "learned_return": adaptation.learned_return,
-        "carried_over_learned_return": adaptation.carried_over_return,
-        "warnings": list(adaptation.warnings),
-        "distances": [str(infer(model, one_each[i]).distance) for i in range(len(new))],
-        "adaptation_env_steps": adaptation.env_steps,
-        "seconds": seconds,
-        **environment_facts(),
-    }
-
-
-def without_tasks(demonstrations: DemonstrationDataset) -> DemonstrationDataset:
-    """What a learner is given: observations and actions."""
-    return DemonstrationDataset(demonstrations.observation, demonstrations.action)
+    return result(
+        *(change.name, seed, means),
+        per_target=returns,
+        **told(adaptation),
+        distances=distances(model, new),
+        seconds=seconds,
+    )
 
 
 def environment(n: int, seed: int, transform: Transform, make: MakeEnv) -> EnvBase:
@@ -168,7 +145,6 @@ def reinforcement_learning(
     torch.manual_seed(seed)
     config = adaptation_config(model, new, settings)
     rollouts = config.rollouts // len(new)
-    targets = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=rollouts)
     target = ("task", "target")
     policy = ContextPolicy(
         *(3, 1, 2),
@@ -177,36 +153,24 @@ def reinforcement_learning(
         learn_scale=False,
         context_key=target,
     )
-
-    def reward(observation: Tensor, target: Tensor) -> Tensor:
-        return task.true_reward(observation, target)
-
-    method = PolicyOptimization(
-        environment(len(new) * rollouts, seed, targets, make),
+    train_on_true_reward(
         policy,
+        environment(len(new) * rollouts, seed, of_tasks(new, rollouts), make),
         task.T,
         config.optimization,
-        rollouts_per_context=rollouts,
-        reward=TensorDictModule(reward, ["observation", target], ["learned_reward"]),
-        task_keys=(target,),
+        rollouts=rollouts,
+        reward=task.true_reward,
+        task_key=target,
     )
-    train(method)
     return policy
 
 
 def main() -> None:
     """A result for each seed of the command line."""
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
-    torch.set_num_threads(1)
     light = "light" in sys.argv[1:]
     change = LIGHT if light else REVERSED
-    folder = RESULTS / change.name
-    for seed in map(int, sys.argv[2 if light else 1 :] or ["0"]):
-        result = run(seed, {}, {}, change)
-        folder.mkdir(parents=True, exist_ok=True)
-        with atomic_path(folder / f"seed{seed}.json") as temporary:
-            temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-        logging.info("seed %d: gap closed %.3f; %s", seed, result["gap_closed"], result["means"])
+    seeds = sys.argv[2 if light else 1 :]
+    write_results(RESULTS / change.name, lambda seed: run(seed, {}, {}, change), seeds)
 
 
 if __name__ == "__main__":

@@ -7,8 +7,6 @@ each seed, some minutes each. True returns are for this report; no learner reads
 from __future__ import annotations
 
 import dataclasses
-import json
-import logging
 import sys
 import time
 from pathlib import Path
@@ -20,24 +18,29 @@ from tensordict import TensorDictBase
 from torch import nn
 from torchrl.envs import Compose, EnvBase, StepCounter, Transform, TransformedEnv
 
-from pemirl_lab.results import environment_facts
+from pemirl_lab.measuring.own_proofs import (
+    EPISODES,
+    distances,
+    of_contexts,
+    of_tasks,
+    result,
+    told,
+    train_on_true_reward,
+    without_tasks,
+    write_results,
+)
 from pemirl_trl import (
     AbsorbingState,
     ContextPolicy,
     DemonstrationDataset,
-    InferContext,
     PEMIRLModel,
-    SampleTasks,
     adapt,
-    infer,
     meta_train,
 )
 from pemirl_trl.evaluation import Actor, returns_per_task, whole_episodes
-from pemirl_trl.files import atomic_path
-from pemirl_trl.methods import PolicyOptimization, adaptation_config, train
+from pemirl_trl.methods import adaptation_config
 
 RESULTS = Path(__file__).parents[2] / "results" / "own_tasks" / "puck"
-EPISODES = 10  # of each unseen gate, for the report
 SHIFT = -1.0  # the pushes are reversed
 
 
@@ -53,17 +56,9 @@ def run(seed: int, training: dict[str, Any], optimization: dict[str, Any]) -> di
     new = task.demonstrations(10, seed=20_000 + seed)
     model = meta_train(task.make, without_tasks(pile), seed=seed, **training)
     trained = time.perf_counter()
-    one_each = without_tasks(new)
-    adaptation = adapt(model, one_each, task.make_reversed, seed=seed, **optimization)
+    adaptation = adapt(model, without_tasks(new), task.make_reversed, seed=seed, **optimization)
     seconds = {"meta_training": trained - began, "adaptation": time.perf_counter() - trained}
-    inferred = InferContext(
-        model.encoder,
-        new.with_absorbing_states(task.T),
-        rollouts_per_context=EPISODES,
-        draw="all",
-        sample=False,
-        tasks=new.tasks(),
-    )
+    inferred = of_contexts(model, new.with_absorbing_states(task.T))
     oracle = reinforcement_learning(model, new, seed, optimization)
     actors: dict[str, tuple[Actor, float]] = {
         "expert": (act, SHIFT),
@@ -75,30 +70,14 @@ def run(seed: int, training: dict[str, Any], optimization: dict[str, Any]) -> di
     }
     scores = {name: score(model, inferred, *acting) for name, acting in actors.items()}
     means = {name: sum(each["returns"]) / len(new) for name, each in scores.items()}
-    worst, best = means["carried_over"], means["rl_with_true_reward"]
-    return {
-        "task": "own_tasks/puck",
-        "seed": seed,
-        "gap_closed": (means["adapted"] - worst) / (best - worst),
-        "means": means,
-        "scores": scores,
-        "demonstrated_lengths": pile.lengths.tolist(),
-        "kept": adaptation.kept,
-        "start": adaptation.start,
-        "tries": dict(adaptation.tries),
-        "learned_return": adaptation.learned_return,
-        "carried_over_learned_return": adaptation.carried_over_return,
-        "warnings": list(adaptation.warnings),
-        "distances": [str(infer(model, one_each[i]).distance) for i in range(len(new))],
-        "adaptation_env_steps": adaptation.env_steps,
-        "seconds": seconds,
-        **environment_facts(),
-    }
-
-
-def without_tasks(demonstrations: DemonstrationDataset) -> DemonstrationDataset:
-    """What a learner is given: observations, actions and how the episodes ended."""
-    return dataclasses.replace(demonstrations, task=None)
+    return result(
+        *("puck", seed, means),
+        scores=scores,
+        demonstrated_lengths=pile.lengths.tolist(),
+        **told(adaptation),
+        distances=distances(model, new),
+        seconds=seconds,
+    )
 
 
 def environment(n: int, seed: int, transform: Transform, push: float) -> EnvBase:
@@ -147,7 +126,6 @@ def reinforcement_learning(
     torch.manual_seed(seed)
     config = adaptation_config(model, new, settings)
     rollouts = config.rollouts // len(new)
-    gates = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=rollouts)
     policy = ContextPolicy(
         *(model.observation_dim, 2, 2),
         activation=nn.Tanh,
@@ -155,27 +133,19 @@ def reinforcement_learning(
         learn_scale=False,
         context_key=("task", "gate"),
     )
-    method = PolicyOptimization(
-        environment(len(new) * rollouts, seed, gates, SHIFT),
+    train_on_true_reward(
         policy,
+        environment(len(new) * rollouts, seed, of_tasks(new, rollouts), SHIFT),
         task.T,
         dataclasses.replace(config.optimization, imitate_best=0.0),
-        rollouts_per_context=rollouts,
+        rollouts=rollouts,
     )
-    train(method)
     return policy
 
 
 def main() -> None:
     """A result for each seed of the command line."""
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
-    torch.set_num_threads(1)
-    for seed in map(int, sys.argv[1:] or ["0"]):
-        result = run(seed, {}, {})
-        RESULTS.mkdir(parents=True, exist_ok=True)
-        with atomic_path(RESULTS / f"seed{seed}.json") as temporary:
-            temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-        logging.info("seed %d: gap closed %.3f; %s", seed, result["gap_closed"], result["means"])
+    write_results(RESULTS, lambda seed: run(seed, {}, {}), sys.argv[1:])
 
 
 if __name__ == "__main__":

@@ -22,8 +22,10 @@ from omegaconf import DictConfig
 
 from pemirl_lab.runs.composition import CONF, override_key, plain, register_library
 from pemirl_lab.runs.memory import keep_freed_memory
+from pemirl_lab.runs.own_help import help_on_own
 from pemirl_lab.runs.own_task import is_own, parse_words
 from pemirl_lab.runs.places import RunRefused
+from pemirl_lab.runs.run_folder import say
 from pemirl_lab.runs.settings import parse
 from pemirl_lab.runs.tables import Table, read_table
 
@@ -86,11 +88,14 @@ def run_own(command: str, given: Sequence[str]) -> None:
         SystemExit: a wrong value, environment or file, or an interruption; says what to do.
     """
     module = importlib.import_module(f"pemirl_lab.commands.{command}")
+    if {"-h", "--help"} & {*given}:
+        say(help_on_own(command, module))
+        return
     torch.set_num_threads(1)  # as in execute
     try:
         task = parse_words(given, module.OwnEnvironment, rest=True)
         _resumable([command, *given], task.run_dir, lambda: module.run_own(task))
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, ImportError) as error:
         if not _is_ours(error):
             raise
         sys.exit(f"pemirl {command}: {error}")

@@ -77,11 +77,18 @@ from pemirl_trl.transforms import (
 )
 
 if TYPE_CHECKING:
-    from pemirl_trl.adapters import BatchReward, LearnedRewardVectorWrapper, LearnedRewardWrapper
+    from pemirl_trl.adapters import (
+        AbsorbingStateWrapper,
+        BatchReward,
+        LearnedRewardVectorWrapper,
+        LearnedRewardWrapper,
+    )
     from pemirl_trl.methods import (
         Adaptation,
         Inference,
+        TaskSpace,
         adapt,
+        find_task_space,
         infer,
         meta_train,
         wrap_gymnasium,
@@ -92,6 +99,7 @@ __version__ = "0.1.0"
 __all__ = [
     "AIRLDiscriminator",
     "AbsorbingState",
+    "AbsorbingStateWrapper",
     "Adaptation",
     "AttentionContextEncoder",
     "BatchReward",
@@ -128,12 +136,14 @@ __all__ = [
     "Sign",
     "Standardize",
     "TRPOLoss",
+    "TaskSpace",
     "TellBody",
     "TrainingFamily",
     "TrustRegionOptimizer",
     "TrustRegionResult",
     "ValueLoss",
     "adapt",
+    "find_task_space",
     "infer",
     "load_card",
     "load_model",
@@ -148,11 +158,25 @@ __all__ = [
 # composes losses in a trainer of theirs has no need of them.
 _CALLS = {
     **dict.fromkeys(
-        ("Adaptation", "Inference", "adapt", "infer", "meta_train", "wrap_gymnasium"),
+        (
+            "Adaptation",
+            "Inference",
+            "TaskSpace",
+            "adapt",
+            "find_task_space",
+            "infer",
+            "meta_train",
+            "wrap_gymnasium",
+        ),
         "pemirl_trl.methods",
     ),
     **dict.fromkeys(
-        ("BatchReward", "LearnedRewardVectorWrapper", "LearnedRewardWrapper"),
+        (
+            "AbsorbingStateWrapper",
+            "BatchReward",
+            "LearnedRewardVectorWrapper",
+            "LearnedRewardWrapper",
+        ),
         "pemirl_trl.adapters",
     ),
 }

@@ -29,6 +29,7 @@ _SIZES = {"observation_dim": int, "action_dim": int, "horizon": int, "config": d
 _CONFIG: dict[str, type | tuple[type, ...]] = {
     "context_dim": int,
     "encoder": str,
+    "encoder_reads": str,
     "reward": str,
     "encoder_hidden": list,
     "policy_hidden": list,

@@ -1,18 +1,20 @@
 """Commands on an environment of the user's own: ``env=my_module:make_env``."""
 
+import dataclasses
 import importlib
 import json
 import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
 from pemirl_lab import cli
 from pemirl_lab.commands.adapt_reward import load_adapted
 from pemirl_lab.runs.own_task import OwnTask, load_make_env, parse_words
-from pemirl_trl import CategoricalPolicy, load_model
+from pemirl_trl import CategoricalPolicy, DemonstrationDataset, load_model
 
 PENDULUM = Path(__file__).parents[2] / "examples" / "own_pendulum" / "pendulum.py"
 FEW = (
@@ -24,6 +26,7 @@ FEW = (
     "training.batch.trajectories=8",
     "logger=null",
 )
+STATES = "model.encoder_reads=states"
 TRAIN = ("demonstrations=train.safetensors", "env=my_pendulum:make", "run_dir=R")
 ADAPT = (
     "model_file=R/model.safetensors",
@@ -41,6 +44,7 @@ def mine(here, monkeypatch):
     """A working directory with a module of the user's and two files."""
     shutil.copy(PENDULUM, here / "my_pendulum.py")
     monkeypatch.syspath_prepend(str(here))
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(here / "minari"))
     task = importlib.import_module("my_pendulum")
     task.demonstrations(6, 1).save(here / "train.safetensors")
     task.demonstrations(1, 2).save(here / "one.safetensors")
@@ -102,7 +106,11 @@ def test_the_same_words_resume_and_others_are_refused(pemirl, mine, capsys):
         (("seed=-1",), "seed=-1: expected greater than or equal to 0"),
         (("demonstrations=none.safetensors",), "no file none.safetensors"),
         (("preset=contrastive",), "say which components of an observation"),
-        (("--help",), "got --help; expected words like key=value"),
+        (
+            ("env=my_pendulum.py:make",),
+            "expected the name of a module and not of its file",
+        ),
+        (("env=my_pendulum:direction",), r"it is called as direction\(num_envs, seed\)"),
         (("+training.iterations=3",), "expected words like key=value"),
     ],
 )
@@ -110,6 +118,51 @@ def test_a_wrong_word_is_said_and_no_model_is_made(pemirl, mine, words, message)
     with pytest.raises(SystemExit, match=f"^pemirl meta_train: .*{message}"):
         pemirl("meta_train", *TRAIN, *FEW, *words)
     assert not (mine / "R/model.safetensors").exists()
+
+
+def test_an_environment_that_is_refused_does_not_block_the_right_one(pemirl, mine):
+    (mine / "wrong.py").write_text("def make(num_envs, seed):\n    return None\n")
+    with pytest.raises(SystemExit, match="returned a NoneType; expected a TorchRL environment"):
+        pemirl("meta_train", *TRAIN, *FEW, "env=wrong:make")
+    assert not (mine / "R").exists()
+    pemirl("meta_train", *TRAIN, *FEW)
+
+
+@pytest.mark.parametrize("name", ["meta_train", "adapt_reward", "reward_report"])
+def test_help_on_an_environment_of_ones_own_explains_every_value(pemirl, capsys, name):
+    pemirl(name, "env=my_pendulum:make", "--help")
+    shown = capsys.readouterr().out
+    module = importlib.import_module(f"pemirl_lab.commands.{name}")
+    for field in dataclasses.fields(module.OwnEnvironment):
+        assert field.name == "settings" or f"\n  {field.name}" in shown
+    assert "make_env(num_envs, seed) returns" in shown
+    assert ("training.iterations=50" in shown) == (name == "meta_train")
+
+
+@pytest.mark.parametrize("words", [(), ("demonstrations=train.npz",)])
+def test_actions_far_outside_of_the_environments_bounds_are_said(pemirl, mine, caplog, words):
+    data = DemonstrationDataset.load(mine / "train.safetensors")
+    scale = 1.0 if not words else 100.0
+    np.savez(mine / "train.npz", observation=data.observation, action=scale * data.action)
+    pemirl("meta_train", *TRAIN, *FEW, *words)
+    assert ("actions far outside their bounds" in caplog.text) == bool(words)
+
+
+def test_demonstrations_in_a_folder_are_read_and_noted(pemirl, mine):
+    """As LeRobot keeps them; without actions one can be inferred from."""
+    data = DemonstrationDataset.load(mine / "train.safetensors")
+    data.to_minari("pendulum-v0")
+    pemirl("meta_train", *TRAIN, *FEW, "demonstrations=minari:pendulum-v0", STATES)
+    noted = json.loads((mine / "R/inputs.json").read_text())["demonstrations"]
+    assert noted["file"].endswith("pendulum-v0")
+    np.savez(mine / "one.npz", observation=data.observation[:1])
+    pemirl("infer", "model_file=R/model.safetensors", "demonstration=one.npz")
+    pemirl("adapt_reward", *ADAPT, "test_demonstrations=one.npz")
+    pemirl("check", "minari:pendulum-v0")
+    metadata = mine / "minari/pendulum-v0/data/metadata.json"
+    metadata.write_text(metadata.read_text() + " ")
+    with pytest.raises(SystemExit, match="is not the demonstrations that the run in R began with"):
+        pemirl("meta_train", *TRAIN, *FEW, "demonstrations=minari:pendulum-v0", STATES)
 
 
 def test_a_missing_word_is_named(pemirl):

@@ -34,7 +34,7 @@ from pemirl_lab.runs.own_task import OwnTask, load_make_env
 from pemirl_lab.runs.places import data_file, run_file
 from pemirl_lab.runs.run_folder import RunFolder, say
 from pemirl_lab.runs.settings import Settings
-from pemirl_trl import Adaptation, DemonstrationDataset, PEMIRLModel
+from pemirl_trl import Adaptation, PEMIRLModel
 from pemirl_trl.configuration import CHECKED
 from pemirl_trl.files import load_weights, read_metadata, save_weights
 from pemirl_trl.methods import (
@@ -85,16 +85,14 @@ def run_own(task: OwnEnvironment) -> Adaptation:
     make_env = load_make_env(task.env)
     model_path = run_file(task.model_file, "meta_train")
     model, data_path = load_model(model_path), data_file(task.test_demonstrations)
-    data = DemonstrationDataset.load(data_path)
+    data = task.demonstrations_in(data_path)
     config = adaptation_config(model, data, task.settings)
-    folder = task.folder()
-    folder.reads("model", model_path)
-    folder.reads("test demonstrations", data_path)
+    folder = task.when_begun({"model": model_path, "test demonstrations": data_path})
     found = table(found_for_adaptation(model, data, task.settings), config)
     say(found)
 
     def stage(name: str, method: Method, /) -> None:
-        folder.train(name, method, show="return/learned")
+        folder().train(name, method, show="return/learned")
 
     choose = "initial_policy" not in task.settings
     result = adapt_in_stages(
@@ -104,14 +102,14 @@ def run_own(task: OwnEnvironment) -> Adaptation:
         settings=found,
         observation_keys=task.observation_keys,
     )
-    file = folder.file("policy.safetensors")
+    file = folder().file("policy.safetensors")
     facts = {"environment": task.env, "env_steps": str(result.env_steps)}
     save_weights(file, {"policy": result.policy}, {**facts, "activation": result.activation})
     told = ("kept", "start", "tries", "learned_return", "carried_over_return", "env_steps")
     record = {name: getattr(result, name) for name in (*told, "warnings")}
-    folder.write_json("adaptation.json", record)
+    folder().write_json("adaptation.json", record)
     say(f"{result}\n-> {file}")
-    write_run_page(folder.path)
+    write_run_page(folder().path)
     return result
 
 

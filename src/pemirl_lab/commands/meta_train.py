@@ -81,14 +81,16 @@ class OwnEnvironment(OwnTask):
 def run_own(task: OwnEnvironment) -> PEMIRLModel:
     """Meta-train on an environment of the user's own; there is no ground truth to show."""
     make_env = load_make_env(task.env)
-    data = DemonstrationDataset.load(data_file(task.demonstrations))
+    path = data_file(task.demonstrations)
+    data = task.demonstrations_in(path)
     config = meta_training_config(data, task.preset, task.settings)
-    folder = task.folder()
-    load_demonstrations(task.demonstrations, folder)
+    folder = task.when_begun({"demonstrations": path})
+    say_findings(task.demonstrations, data)
     say(table(found_for_meta_training(data, task.preset, task.settings), config))
 
     def stage(name: str, method: Method, /) -> None:
-        folder.train(name, method, show="meta_il/loss_imitation" if name == "meta-il" else LEARNED)
+        show = "meta_il/loss_imitation" if name == "meta-il" else LEARNED
+        folder().train(name, method, show=show)
 
     model = meta_train_in_stages(
         *(make_env, data, config, stage),
@@ -98,19 +100,26 @@ def run_own(task: OwnEnvironment) -> PEMIRLModel:
     )
     steps = config.contexts_per_batch * config.training.rollouts_per_context * data.horizon
     facts = {"method": task.preset, "env_steps": str(steps * config.training.iterations)}
-    file = folder.file("model.safetensors")
+    file = folder().file("model.safetensors")
     save_model(file, model, facts)
     say(f"meta-trained on {steps * config.training.iterations:,} environment steps -> {file}")
-    write_run_page(folder.path)
+    write_run_page(folder().path)
     return model
 
 
 def load_demonstrations(file: str, folder: RunFolder) -> DemonstrationDataset:
     """The unlabelled pile; what is suspicious about it is said, once a run."""
-    demonstrations = DemonstrationDataset.load(folder.reads("demonstrations", data_file(file)))
+    path = data_file(file)
+    demonstrations = DemonstrationDataset.load(path)
+    folder.reads("demonstrations", path)
+    say_findings(file, demonstrations)
+    return demonstrations
+
+
+def say_findings(file: str, demonstrations: DemonstrationDataset) -> None:
+    """Say what is suspicious about demonstrations."""
     for finding in examine(demonstrations):
         say(f"{file}: {finding}")
-    return demonstrations
 
 
 def meta_train(

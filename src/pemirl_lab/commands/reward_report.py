@@ -149,7 +149,7 @@ def run_own(task: OwnEnvironment) -> RewardReport:
     """Measure on an environment of the user's own, and write the page."""
     make_env = load_make_env(task.env)
     data_path = data_file(task.test_demonstrations)
-    demonstrations = DemonstrationDataset.load(data_path)
+    demonstrations = task.demonstrations_in(data_path)
     name = task.true_reward
     true = on_rows(load_function(name, "true_reward"), f"true_reward={name}", task.numbers)
     candidate = of_name(

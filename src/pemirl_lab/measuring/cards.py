@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from pemirl_lab.runs.places import data_file, run_file
 from pemirl_lab.runs.run_folder import FREE, read_json, read_run
 from pemirl_trl import DemonstrationDataset
 from pemirl_trl.configuration import CHECKED
-from pemirl_trl.files import Card, atomic_path, file_digest, read_metadata
+from pemirl_trl.files import Card, atomic_path, content_digest, read_metadata
 from pemirl_trl.methods.own_training import digest
 
 _NO_SETTINGS = (
@@ -64,7 +65,7 @@ class Export:
         run = read_run(folder)
         return Card(
             domain=str(run.get("environment", run.get("env", "unknown"))),
-            data_sha256=self._data_digest(folder),
+            data_sha256=self._data_digest(folder, run),
             settings={k: v for k, v in run.items() if k not in _NO_SETTINGS},
             measures=_measures(folder, read_metadata(model)["method"]),
             licence=self.licence,
@@ -72,17 +73,18 @@ class Export:
             versions={**run["versions"], "commit": run["commit"]},
         )
 
-    def _data_digest(self, folder: Path) -> str:
+    def _data_digest(self, folder: Path, run: Mapping[str, Any]) -> str:
         noted = read_json(folder / "inputs.json").get("demonstrations")
         if noted is None:
             raise ValueError(f"{folder / 'inputs.json'} does not say what the run was trained on")
         file = data_file(self.demonstrations or noted["file"])
-        if file_digest(file) != noted["sha256"]:
+        if content_digest(file) != noted["sha256"]:
             raise ValueError(
                 f"{file} is not what the run in {folder} was trained on (its content differs): "
                 "give demonstrations=FILE"
             )
-        return digest(DemonstrationDataset.load(file))
+        words = {name: run.get(name) for name in ("observation_keys", "discrete_actions")}
+        return digest(DemonstrationDataset.load(file, **words))
 
 
 def _measures(folder: Path, method: str) -> dict[str, float]:

@@ -2,6 +2,9 @@
 
     pemirl check my_demonstrations.safetensors
     pemirl check my_demonstrations.safetensors --environment point_maze/left
+    pemirl check lerobot_folder --observation-keys state,environment_state
+    pemirl check d4rl.hdf5
+    pemirl check minari:pendulum-v0
 
 First their lengths; then one line for each thing that is suspicious, with its cure: constant
 features, duplicates, actions far outside their bounds, jumps, resets inside an episode, mixed
@@ -24,21 +27,31 @@ from pemirl_trl.data import examine
 def main(arguments: Sequence[str]) -> None:
     """Entry point; the exit code is 1 where a finding is an error."""
     parser = argparse.ArgumentParser("pemirl check", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("file", help="of DemonstrationDataset.save, or of pemirl collect_demos")
+    parser.add_argument("file", help="of DemonstrationDataset.save, .npz, .hdf5, a folder of "
+                        "LeRobot's or imitation's, or minari:NAME")  # fmt: skip
+    parser.add_argument("--observation-keys", help="entries that make the observation: a,b")
+    parser.add_argument("--discrete-actions", type=int, help="n, where actions are integers")
     parser.add_argument("--environment", help="whose bounds actions are compared with")
     given = parser.parse_args(arguments)
     try:
-        demonstrations = DemonstrationDataset.load(data_file(given.file))
+        keys = None if given.observation_keys is None else given.observation_keys.split(",")
+        demonstrations = DemonstrationDataset.load(
+            data_file(given.file), observation_keys=keys, discrete_actions=given.discrete_actions
+        )
         bounds = None
         if given.environment is not None:
             bounds = pemirl_envs.get_task(given.environment).action_bounds
+            wanted, got = len(bounds[0]), demonstrations.action_dim
+            if got not in (0, wanted):
+                parser.exit(2, f"pemirl check: {given.file} has {got} actions, and "
+                            f"{given.environment} takes {wanted}\n")  # fmt: skip
         findings = examine(demonstrations, bounds)
-    except (FileNotFoundError, ValueError) as error:
+    except (FileNotFoundError, ImportError, ValueError) as error:
         parser.exit(2, f"pemirl check: {error}\n")
     d = demonstrations
     say(
         f"{given.file}: {len(d)} demonstrations of {_lengths(d)}, {d.observation_dim} "
-        f"observed numbers, {d.action_dim} actions; made by: {d.provenance.command}"
+        f"observed numbers, {d.action_dim or 'no'} actions; made by: {d.provenance.command}"
     )
     for finding in findings:
         say(str(finding))

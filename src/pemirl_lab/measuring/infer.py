@@ -19,7 +19,7 @@ from pemirl_lab.runs.own_task import parse_words
 from pemirl_lab.runs.places import data_file
 from pemirl_lab.runs.run_folder import say
 from pemirl_trl import DemonstrationDataset, infer
-from pemirl_trl.configuration import CHECKED, Index
+from pemirl_trl.configuration import CHECKED, Count, Index
 from pemirl_trl.sharing import load_reward
 
 _SHOWN = 11  # steps of the demonstration, from the first to the last
@@ -31,13 +31,17 @@ class Words:
 
     Attributes:
         model_file: of ``pemirl meta_train`` or ``pemirl export_reward``, or a name of the zoo.
-        demonstration: a file of demonstrations.
+        demonstration: a file of demonstrations, or a folder in a format of others.
         index: which of them, where there are several.
+        observation_keys: which entries make the observation, where the format has several.
+        discrete_actions: n, where actions are integers from 0 to n - 1.
     """
 
     model_file: str
     demonstration: str
     index: Index | None = None
+    observation_keys: Sequence[str] | None = None
+    discrete_actions: Count | None = None
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -48,9 +52,14 @@ def main(arguments: Sequence[str]) -> None:
     try:
         words = parse_words(arguments, Words)
         reward = load_reward(words.model_file)
-        one = _chosen(DemonstrationDataset.load(data_file(words.demonstration)), words)
+        demonstrations = DemonstrationDataset.load(
+            data_file(words.demonstration),
+            observation_keys=words.observation_keys,
+            discrete_actions=words.discrete_actions,
+        )
+        one = _chosen(demonstrations, words)
         inference = infer(reward, one)
-    except (FileNotFoundError, ValueError) as error:
+    except (FileNotFoundError, ImportError, ValueError) as error:
         sys.exit(f"pemirl infer: {error}")
     say(str(inference))
     steps = one.observation[0, : int(one.lengths[0])]

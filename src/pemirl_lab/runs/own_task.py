@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib
+import inspect
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -16,6 +18,7 @@ from pydantic.dataclasses import dataclass
 from yaml import YAMLError
 
 from pemirl_lab.runs.run_folder import RunFolder
+from pemirl_trl import DemonstrationDataset
 from pemirl_trl.configuration import CHECKED, Count, SeedNumber, typed
 
 Values = TypeVar("Values")
@@ -29,7 +32,9 @@ class OwnTask:
         env: ``"my_module:make_env"``; see :data:`pemirl_trl.methods.MakeEnv`.
         run_dir: where the run writes; the same command resumes it.
         seed, logger, checkpoint_every: as in the other commands.
-        observation_keys: which entries of what it observes make the observation, in this order.
+        observation_keys: which entries of what it observes make the observation, in this order;
+            also of demonstrations that have several entries.
+        discrete_actions: n, of demonstrations whose actions are integers from 0 to n - 1.
         settings: of the library, by their dotted names: what is none of the values above.
     """
 
@@ -39,7 +44,30 @@ class OwnTask:
     logger: Literal["csv", "tensorboard"] | None = "csv"
     checkpoint_every: Count = 25
     observation_keys: Sequence[str] | None = None
+    discrete_actions: Count | None = None
     settings: dict[str, Any] = field(default_factory=dict)
+
+    def demonstrations_in(self, file: Path) -> DemonstrationDataset:
+        """What a file or folder of demonstrations holds, of whatever format."""
+        return DemonstrationDataset.load(
+            file, observation_keys=self.observation_keys, discrete_actions=self.discrete_actions
+        )
+
+    def when_begun(self, inputs: Mapping[str, Path]) -> Callable[[], RunFolder]:
+        """What makes the folder of the run, once: an environment that is refused leaves none.
+
+        Args:
+            inputs: what the run reads, by role.
+        """
+
+        @functools.cache
+        def opened() -> RunFolder:
+            folder = self.folder()
+            for role, file in inputs.items():
+                folder.reads(role, file)
+            return folder
+
+        return opened
 
     def folder(self) -> RunFolder:
         """The folder of the run."""
@@ -95,9 +123,17 @@ def load_make_env(name: str) -> Callable[[int, int], Any]:
     """The function that ``"my_module:make_env"`` names; modules of the working directory count.
 
     Raises:
-        ValueError: there is no such module or function; says where it was looked for.
+        ValueError: there is no such module or function, and it says where it was looked for; or it
+            cannot be called with a number and a seed.
     """
-    return load_function(name, "env", "make_env")
+    make_env = load_function(name, "env", "make_env")
+    try:
+        inspect.signature(make_env).bind(1, 0)
+    except TypeError as error:
+        raise ValueError(
+            f"env={name}: {error}; it is called as {name.partition(':')[2]}(num_envs, seed)"
+        ) from error
+    return make_env
 
 
 def load_function(name: str, word: str, example: str = "function") -> Callable[..., Any]:
@@ -114,6 +150,12 @@ def load_function(name: str, word: str, example: str = "function") -> Callable[.
     module_name, colon, function = name.partition(":")
     if not (module_name and colon and function):
         raise ValueError(f"{word}={name}: expected module:function, such as my_module:{example}")
+    if module_name.endswith(".py") or "/" in module_name:
+        stem = Path(module_name).stem
+        raise ValueError(
+            f"{word}={name}: expected the name of a module and not of its file: {stem}:{function}, "
+            f"from the folder that {stem}.py lies in"
+        )
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.insert(0, here)
@@ -127,7 +169,11 @@ def load_function(name: str, word: str, example: str = "function") -> Callable[.
         ) from error
     found = getattr(module, function, None)
     if not callable(found):
-        there = [k for k, v in vars(module).items() if callable(v) and not k.startswith("_")]
+        there = [
+            k
+            for k, v in vars(module).items()
+            if callable(v) and not k.startswith("_") and v.__module__ == module_name
+        ]
         raise ValueError(
             f"{word}={name}: {module.__file__} has no function {function}; it has {sorted(there)}"
         )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pemirl_trl.data.formats import located
+
 
 class RunRefused(ValueError):  # noqa: N818 (it says what happened)
     """A run that cannot begin or go on as it was asked for; the message says what to do."""
@@ -17,20 +19,24 @@ CHECKOUT = PACKAGE.parents[1]
 def data_file(name: str | Path) -> Path:
     """A path as given; or, for ``data/...``, the file of the wheel, or of the checkout.
 
+    A folder is one too where demonstrations lie in one, and ``minari:NAME`` is the folder that
+    Minari keeps them in.
+
     Raises:
         FileNotFoundError: it is in none of these places; names them.
     """
-    given = Path(name).expanduser()
+    given = located(name)
     candidates = [given]
     if not given.is_absolute():
         candidates += [PACKAGE / given, CHECKOUT / given]
     for candidate in candidates:
-        if candidate.is_file():
+        if candidate.exists():
             return candidate
     places = ", ".join(str(place) for place in candidates)
     raise FileNotFoundError(
-        f"no file {name} (looked at {places}). The package itself brings Point-Maze's data; those "
-        "of the other domains are in a checkout of the repository: run from there, or give a path"
+        f"no file {name} (looked at {places}). The package itself brings Point-Maze's "
+        "data; those of the other domains are in a checkout of the repository: run from there, or "
+        "give a path"
     )
 
 

@@ -22,7 +22,7 @@ from pemirl_lab.runs.metrics import forget_from
 from pemirl_lab.runs.places import RunRefused
 from pemirl_lab.runs.settings import Settings
 from pemirl_trl.checkpoint import TrainingCheckpoint
-from pemirl_trl.files import atomic_path, file_digest
+from pemirl_trl.files import atomic_path, content_digest
 from pemirl_trl.methods import train
 from pemirl_trl.methods.health_log import HealthLog
 from pemirl_trl.methods.loop import Method, Metrics
@@ -117,14 +117,14 @@ class RunFolder:
             temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
     def reads(self, role: str, file: Path) -> Path:
-        """Note that this run reads a file, and return it.
+        """Note that this run reads a file, or a folder of data, and return it.
 
         Raises:
             RunRefused: an earlier part of this run read another content under that role: what it
                 made of it would not belong to what is made now.
         """
         inputs = read_json(self.path / "inputs.json")
-        digest = file_digest(file)
+        digest = content_digest(file)
         before = inputs.get(role)
         if before is not None and before["sha256"] != digest:
             raise RunRefused(

@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
+from pemirl_trl.adapters.absorbing_wrapper import AbsorbingStateWrapper
 from pemirl_trl.adapters.fixed_context import Context, FixedContext, Reward
 
 TRUE_REWARD = "true_reward"
@@ -23,6 +24,10 @@ class LearnedRewardWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
     """Give r(s_t, m) for the reward of a single environment; its own goes to ``info``.
 
     The own reward is ``info["true_reward"]``: a metric, that no learner reads.
+
+    Where the reward knows of ends (``model.absorbing``), what ended goes on where it ended, up to
+    T (:class:`AbsorbingStateWrapper`, unless it is there already): r of having ended is collected
+    at every step that is left.
 
     Args:
         env: observes what the demonstrations did.
@@ -61,10 +66,14 @@ class LearnedRewardWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
                 "LearnedRewardWrapper takes a single environment; of a vector environment take "
                 "LearnedRewardVectorWrapper"
             )
-        super().__init__(env)
         self._reward = FixedContext(reward, demonstration_or_m)
         self._key = observation_key
-        _check_space(env.observation_space, observation_key, self._reward.reward.observation_dim)
+        learned = self._reward.reward
+        size = _observed_size(env.observation_space, observation_key)
+        if learned.config.absorbing and size == learned.observation_dim - 1:
+            env = AbsorbingStateWrapper(env, learned.horizon, observation_key=observation_key)
+        super().__init__(env)
+        _check_space(env.observation_space, observation_key, learned.observation_dim)
         self._state: Any = None
 
     def reset(
@@ -89,6 +98,8 @@ class LearnedRewardVectorWrapper(VectorWrapper):
 
     The own rewards are ``infos["true_reward"]`` ``[N]``. All autoreset modes are served: where a
     step only resets an environment (``NEXT_STEP``), its learned reward is 0, as the environment's.
+    A reward that knows of ends takes environments that are each in an
+    :class:`AbsorbingStateWrapper`.
 
     Args:
         env: observes what the demonstrations did.
@@ -118,8 +129,15 @@ class LearnedRewardVectorWrapper(VectorWrapper):
         super().__init__(env)
         self._reward = FixedContext(reward, demonstration_or_m)
         self._key = observation_key
-        size = self._reward.reward.observation_dim
-        _check_space(env.single_observation_space, observation_key, size)
+        learned, space = self._reward.reward, env.single_observation_space
+        size = learned.observation_dim
+        if learned.config.absorbing and _observed_size(space, observation_key) == size - 1:
+            raise ValueError(
+                "this reward knows of ends, and a vector environment would begin anew after one: "
+                f"wrap each single one in AbsorbingStateWrapper(env, {learned.horizon}) before "
+                "they are made a vector environment"
+            )
+        _check_space(space, observation_key, size)
         mode = env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
         self._resets_in_a_step = mode == AutoresetMode.NEXT_STEP
         self._states: NDArray[Any] = np.empty(0)
@@ -149,6 +167,13 @@ def _entry(observation: Any, key: str | None) -> Any:
     return observation if key is None else observation[key]
 
 
+def _observed_size(space: gymnasium.Space[Any], key: str | None) -> int | None:
+    """S of an environment that observes a vector; None otherwise."""
+    if isinstance(space, gymnasium.spaces.Dict):
+        space = space.spaces.get(key or "", space)
+    return space.shape[0] if space.shape is not None and len(space.shape) == 1 else None
+
+
 def _check_space(space: gymnasium.Space[Any], key: str | None, size: int) -> None:
     """Raise ValueError unless a single environment observes ``[S]``."""
     if isinstance(space, gymnasium.spaces.Dict):
@@ -159,7 +184,7 @@ def _check_space(space: gymnasium.Space[Any], key: str | None, size: int) -> Non
         space = space.spaces[key]
     elif key is not None:
         raise ValueError(f"the environment observes no dictionary; got observation_key={key!r}")
-    if space.shape != (size,):
+    if _observed_size(space, None) != size:
         raise ValueError(
             f"the environment observes {space}; the reward was learned on {size} numbers"
         )

@@ -20,7 +20,7 @@ from pemirl_trl.data.demonstrations import DemonstrationDataset
 from pemirl_trl.data.lengths import steps_after
 from pemirl_trl.data.validation import episode_names
 
-__all__ = ["Finding", "examine"]
+__all__ = ["Finding", "examine", "examine_actions"]
 
 Severity = Literal["warning", "error"]
 
@@ -83,15 +83,32 @@ def examine(dataset: DemonstrationDataset, action_bounds: Bounds | None = None) 
             f"got action_bounds {action_bounds}, but the actions are {dataset.action_dim} choices; "
             "expected None"
         )
-    bounds = None if action_bounds is None else _checked_bounds(action_bounds, dataset.action_dim)
+    acted, bounds = dataset.action_dim > 0, None
+    if acted and action_bounds is not None:
+        bounds = _checked_bounds(action_bounds, dataset.action_dim)
     findings = [finding for check in _CHECKS for finding in check(dataset)]
-    if discrete:
+    if not acted:
+        findings += _no_actions(dataset)
+    elif discrete:
         findings += _unused_choices(dataset)
     else:
         findings += (
             _unbounded_scale(dataset) if bounds is None else _bounded_scale(dataset, *bounds)
         )
     return sorted(findings, key=lambda finding: finding.severity != "error")
+
+
+def examine_actions(dataset: DemonstrationDataset, action_bounds: Bounds) -> list[Finding]:
+    """The findings of :func:`examine` about actions beside the bounds of an environment.
+
+    Args:
+        dataset: demonstrations with continuous actions.
+        action_bounds: as there.
+
+    Raises:
+        ValueError: as there.
+    """
+    return [*_bounded_scale(dataset, *_checked_bounds(action_bounds, dataset.action_dim))]
 
 
 def _checked_bounds(bounds: Bounds, dimension: int) -> tuple[Tensor, Tensor]:
@@ -157,7 +174,8 @@ def _unexplained_ends(dataset: DemonstrationDataset) -> Iterator[Finding]:
 
 def _constant(dataset: DemonstrationDataset) -> Iterator[Finding]:
     values_of = {"observation": dataset.observation}
-    if not dataset.discrete:  # of choices, one that is never taken is no constant to leave out
+    # Of choices, one that is never taken is no constant to leave out.
+    if dataset.action_dim and not dataset.discrete:
         values_of["action"] = dataset.action
     for name, values in values_of.items():
         flat = values.double().flatten(0, 1).std(0, correction=0) <= CONSTANT
@@ -266,6 +284,15 @@ def _mixed_rates(dataset: DemonstrationDataset) -> Iterator[Finding]:
             f"the smaller group: {episode_names(fewer.sort().values)}",
             "resample to one rate",
         )
+
+
+def _no_actions(dataset: DemonstrationDataset) -> Iterator[Finding]:
+    what, where = "no actions were recorded", "every episode"
+    cure = (
+        "infer and adapt take them, of a model whose encoder reads states alone "
+        "(model.encoder_reads=states); meta-training needs actions"
+    )
+    yield Finding("warning", what, where, cure)
 
 
 def _unused_choices(dataset: DemonstrationDataset) -> Iterator[Finding]:

@@ -50,10 +50,10 @@ def pair_of(
         raise ValueError(
             f"episode {index} is a {type(episode).__name__}; expected a pair (observation, action)"
         ) from error
-    return (
-        observation_vectors(observation, keys, f"episode {index}: observation"),
-        action_vectors(action, choices, f"episode {index}: action"),
-    )
+    states = observation_vectors(observation, keys, f"episode {index}: observation")
+    if action is None:  # nobody recorded them
+        return states, states.new_empty(max(len(states) - 1, 0), 0)
+    return states, action_vectors(action, choices, f"episode {index}: action")
 
 
 def flags_of(terminated: bool | Sequence[bool] | None, episodes: int) -> Tensor | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,14 @@ from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-__all__ = ["read_minari", "write_minari"]
+from pemirl_trl.data.provenance import Provenance, parse_provenance
+from pemirl_trl.data.recording import Recording
+from pemirl_trl.files import check_fields, parse_json
+
+__all__ = ["METADATA", "minari_folder", "read_minari", "write_minari"]
+
+METADATA = Path("data/metadata.json")
+"""What makes a folder a Minari dataset."""
 
 _METADATA_KEY = "pemirl_trl"
 
@@ -85,29 +93,38 @@ def write_minari(
     dataset.storage.update_metadata({_METADATA_KEY: json.dumps(metadata)})
 
 
-def read_minari(
-    dataset_id: str,
-) -> tuple[
-    list[tuple[Any, NDArray[Any]]],
-    list[bool],
-    TensorDictBase | None,
-    dict[str, Any] | None,
-    int | None,
-]:
-    """Read the local Minari dataset ``dataset_id``, written by anyone.
-
-    Returns:
-        ``(observation [L+1, S], action [L, A])`` per episode, as stored (an observation may be a
-        dictionary of arrays; actions of n choices are ``[L]``, from 0); whether each ended by
-        itself; the task parameters with batch_size ``[M]``, if every episode has some; the metadata
-        of :func:`write_minari`, if any; and n.
+def minari_folder(dataset_id: str) -> Path:
+    """The folder in which Minari keeps the local dataset ``dataset_id``.
 
     Raises:
         ImportError: the ``minari`` extra is not installed.
-        ValueError: observations or actions are neither of these.
+        FileNotFoundError: there is no such dataset on this machine.
+    """
+    minari, _ = _import_minari()
+    there = sorted(minari.list_local_datasets())
+    if dataset_id not in there:
+        raise FileNotFoundError(
+            f"no Minari dataset {dataset_id} on this machine; there are {there}. minari download "
+            "fetches one, MINARI_DATASETS_PATH says where they lie"
+        )
+    return Path(minari.load_dataset(dataset_id).storage.data_path).parent
+
+
+def read_minari(folder: Path) -> Recording:
+    """Read a Minari dataset from its folder, written by anyone.
+
+    Returns:
+        Episodes as stored: an observation may be a dictionary of arrays, actions of n choices are
+        counted from 0. Task parameters are there if every episode has some, and the provenance is
+        what :func:`write_minari` was given, if it wrote it.
+
+    Raises:
+        ImportError: the ``minari`` extra is not installed.
+        ValueError: observations or actions are neither of these, or foreign metadata.
     """
     minari, spaces = _import_minari()
-    dataset = minari.load_dataset(dataset_id)
+    dataset = minari.MinariDataset(folder / METADATA.parent)
+    dataset_id = dataset.id
     observed, acted = dataset.observation_space, dataset.action_space
     if not isinstance(observed, spaces.Box | spaces.Dict):
         raise ValueError(f"{dataset_id} observes {observed}; expected a Box, or a Dict of Boxes")
@@ -125,8 +142,17 @@ def read_minari(
         if all(t is not None for t in tasks)
         else None
     )
-    raw = dataset.storage.metadata.get(_METADATA_KEY)
-    return episodes, ended, task, None if raw is None else json.loads(raw), choices
+    provenance = _provenance(dataset_id, dataset.storage.metadata.get(_METADATA_KEY))
+    return Recording(episodes, ended, provenance, task, choices)
+
+
+def _provenance(dataset_id: str, stored: str | None) -> Provenance:
+    """What :func:`write_minari` stored, or the dataset's name."""
+    if stored is None:
+        return Provenance(environment=dataset_id)
+    what = f"the metadata of {dataset_id}"
+    fields = check_fields(parse_json(stored, what), {"provenance": dict}, what)
+    return parse_provenance(fields["provenance"], what)
 
 
 def _last(steps: int, value: bool) -> NDArray[np.bool_]:

@@ -79,7 +79,7 @@ def check_demonstrations(
             f"{episodes} of {horizon} actions; expected as many episodes, and T+1 observations "
             "for T actions: the last one is what the last action led to"
         )
-    if 0 in (episodes, horizon, observation.shape[2], action.shape[2]):
+    if 0 in (episodes, horizon, observation.shape[2]):  # actions of no dimension: not recorded
         raise ValueError(
             f"observation {tuple(observation.shape)} and action {tuple(action.shape)} are empty; "
             "expected at least one episode, step and dimension"

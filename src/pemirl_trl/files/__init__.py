@@ -4,6 +4,7 @@ from pemirl_trl.files.cards import Card, parse_card
 from pemirl_trl.files.headers import check_fields, parse_json
 from pemirl_trl.files.staging import (
     atomic_path,
+    content_digest,
     expanded,
     file_digest,
     has_live_owner,
@@ -24,6 +25,7 @@ __all__ = [
     "Card",
     "atomic_path",
     "check_fields",
+    "content_digest",
     "expanded",
     "file_digest",
     "has_live_owner",

@@ -21,6 +21,7 @@ from pathlib import Path
 
 __all__ = [
     "atomic_path",
+    "content_digest",
     "expanded",
     "file_digest",
     "has_live_owner",
@@ -50,6 +51,7 @@ def expanded(path: str | Path) -> Path:
     return Path(os.path.expanduser(path))
 
 
+_DATA = (".json", ".parquet", ".arrow", ".hdf5")
 _TYPES = {
     stat.S_IFDIR: "a directory",
     stat.S_IFIFO: "a named pipe",
@@ -92,6 +94,25 @@ def file_digest(path: str | Path) -> str:
     """
     with regular_file(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def content_digest(path: str | Path) -> str:
+    """SHA-256 of a file, or of a folder's files of data: their names and contents.
+
+    Videos and pictures are left out: a folder of demonstrations may hold many gigabytes of them,
+    which nobody reads here.
+
+    Raises:
+        FileNotFoundError: there is no such file or folder.
+    """
+    path = expanded(path)
+    if not path.is_dir():
+        return file_digest(path)
+    content = hashlib.sha256()
+    for file in sorted(path.rglob("*")):
+        if file.is_file() and file.suffix in _DATA:
+            content.update(f"{file.relative_to(path).as_posix()} {file_digest(file)}\n".encode())
+    return content.hexdigest()
 
 
 # --- whose stage it is -------------------------------------------------------------------------

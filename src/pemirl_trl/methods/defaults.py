@@ -15,6 +15,7 @@ from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.data.lengths import steps_after
 from pemirl_trl.methods.adaptation import AdaptationConfig
 from pemirl_trl.methods.meta_training import METHODS, TRAINING, MethodConfig
+from pemirl_trl.methods.requirements import check_acted
 from pemirl_trl.modules import PEMIRLModel
 from pemirl_trl.modules.model import ActionKind
 
@@ -89,7 +90,11 @@ def found_for_meta_training(
     """What the demonstrations say about meta-training, as a nested dictionary of settings.
 
     What is given counts where other values follow from it, such as iterations from rollouts.
+
+    Raises:
+        ValueError: the demonstrations have no actions, or none but 0.
     """
+    check_acted(demonstrations)
     horizon, count = demonstrations.horizon, len(demonstrations)
     envs = _between(round(STEPS_PER_ITERATION / horizon), 100, 800)
     given = overrides or {}

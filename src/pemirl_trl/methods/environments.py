@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -9,6 +10,7 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper
+from torchrl.data.tensor_specs import ContinuousBox
 from torchrl.envs import (
     Compose,
     DoubleToFloat,
@@ -22,6 +24,7 @@ from torchrl.envs import (
 from torchrl.modules import RandomPolicy
 
 from pemirl_trl.data import DemonstrationDataset
+from pemirl_trl.data.doctor import examine_actions
 from pemirl_trl.methods.requirements import check_environment, check_episodes
 from pemirl_trl.modules import PEMIRLModel
 from pemirl_trl.transforms import (
@@ -31,6 +34,7 @@ from pemirl_trl.transforms import (
     OneHotActions,
 )
 
+LOG = logging.getLogger("pemirl_trl")
 MakeEnv = Callable[[int, int], Any]
 """(num_envs, seed) -> a TorchRL environment of batch size ``[num_envs]``, a Gymnasium vector
 environment of as many, or a single Gymnasium environment, which is then made for each of them."""
@@ -74,10 +78,11 @@ class Episodes:
             env = self._whole(_PROBED, seed)
             infer = InferContext(model.encoder, demonstrations.trajectories())
             check_environment(_transformed(env, infer), model.policy, model.horizon)
+            _warn_of_actions(env, demonstrations)
             actor = RandomPolicy(env.action_spec)
             rollouts = env.rollout(model.horizon, actor, break_when_any_done=False)
             self._limited = check_episodes(rollouts, model.horizon, absorbing=self._absorbing)
-            env.close()
+            env.close(raise_if_closed=False)
 
     def __call__(self, num_envs: int, seed: int, transform: Transform) -> EnvBase:
         """Make ``num_envs`` environments, with a transform that decides what is rolled out."""
@@ -89,6 +94,17 @@ class Episodes:
         return _transformed(env, AbsorbingState()) if self._absorbing else env
 
 
+def _warn_of_actions(env: EnvBase, demonstrations: DemonstrationDataset) -> None:
+    """Log demonstrated actions that are far from what the environment takes, if it says what."""
+    box = env.action_spec.space
+    if not isinstance(box, ContinuousBox) or demonstrations.action_dim == 0:
+        return
+    low, high = box.low[0], box.high[0]
+    if bool((low.isfinite() & high.isfinite() & (low < high)).all()):
+        for finding in examine_actions(demonstrations, (low.float(), high.float())):
+            LOG.warning("%s", finding)
+
+
 def ends_early(
     make_env: MakeEnv, horizon: int, seed: int, observation_keys: Sequence[str] | None = None
 ) -> bool:
@@ -96,7 +112,7 @@ def ends_early(
     with torch.random.fork_rng(devices=[]):
         env = _batched(make_env, _PROBED, seed, horizon, observation_keys)
         rollouts = env.rollout(horizon, RandomPolicy(env.action_spec), break_when_any_done=False)
-        env.close()
+        env.close(raise_if_closed=False)
     terminated = rollouts.get(("next", "terminated"), None)
     return terminated is not None and bool(terminated[:, : horizon - 1].any())
 

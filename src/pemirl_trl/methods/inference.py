@@ -64,7 +64,8 @@ def infer(
 
     Args:
         model: a trained one, or its reward alone, of :func:`pemirl_trl.load_reward`.
-        demonstration: a data set of one, or the file of it.
+        demonstration: a data set of one, or the file of it; without actions, if the encoder reads
+            states alone (``encoder_reads="states"``).
 
     Raises:
         ValueError: several demonstrations, or one of another size or length than the model's; or a
@@ -97,9 +98,11 @@ def check_demonstrations(
             f"got context_dim={model.config.context_dim}, reward={model.config.reward!r}"
         )
     d = for_model(model, demonstrations)
+    model.encoder.check_recorded(d.action)
+    acted = d.action_dim > 0
     got, wanted = (
         (d.observation_dim, d.action_dim, d.horizon),
-        (model.observation_dim, model.action_dim, model.horizon),
+        (model.observation_dim, model.action_dim if acted else 0, model.horizon),
     )
     if got != wanted:
         raise ValueError(
@@ -107,7 +110,7 @@ def check_demonstrations(
             f"model was trained on {wanted}"
             + (", absorbing states and their indicator included" if d.absorbing else "")
         )
-    if model.config.actions == "discrete" and not d.discrete:
+    if acted and model.config.actions == "discrete" and not d.discrete:
         raise ValueError(
             f"the demonstrated actions are vectors of real numbers; this model was trained on "
             f"{model.action_dim} choices, one-hot: from_episodes(..., discrete_actions="

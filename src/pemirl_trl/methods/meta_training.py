@@ -30,6 +30,7 @@ from pemirl_trl.methods.loop import Method
 from pemirl_trl.methods.meta_il import MetaILConfig
 from pemirl_trl.methods.meta_infogail import MetaInfoGAIL, MetaInfoGAILConfig
 from pemirl_trl.methods.pemirl import PEMIRL, PEMIRLConfig
+from pemirl_trl.methods.requirements import check_acted
 from pemirl_trl.modules import ModelConfig, PEMIRLModel, Standardize
 
 Algorithm = Literal["pemirl", "airl", "meta_infogail", "meta_il"]
@@ -140,9 +141,10 @@ def new_model(
         sizes: fields of :class:`ModelConfig` to replace.
 
     Raises:
-        ValueError: r is to read the task space, and nobody said what that is; or the model is to
-            know absorbing states, and the demonstrations have none.
+        ValueError: r is to read the task space, and nobody said what that is; the model is to know
+            absorbing states, and the demonstrations have none; or they have no actions.
     """
+    check_acted(demonstrations)
     if config.reward_reads == "task_space" and config.model.reward == "shaped":
         if task_space is None:
             raise ValueError(

@@ -234,7 +234,7 @@ class _Training:
         )
         method = _Recorded(optimization)
         self._run_stage(stage, method)
-        env.close()
+        env.close(raise_if_closed=False)  # a collector may have closed it
         self.env_steps += method.env_steps
         self.history[stage] = method.history
         return policy, activation
@@ -254,7 +254,7 @@ class _Training:
             torch.manual_seed(seed)
             env = self._episodes(count * each, seed, self._infer(each))
             rollouts = whole_episodes(env, policy, self.model.horizon)
-            env.close()
+            env.close(raise_if_closed=False)  # a collector may have closed it
         return rollouts
 
     def _infer(self, rollouts: int) -> InferContext:

@@ -111,7 +111,7 @@ def meta_train_in_stages(
     infer = InferContext(model.encoder, pile, rollouts_per_context=rollouts)
     env = episodes(config.contexts_per_batch * rollouts, seed, infer)
     run_stage("meta-training", build(config, model, env, pile))
-    env.close()
+    env.close(raise_if_closed=False)  # a collector may have closed it
     model.family = training_family(model, demonstrations)
     return model
 

@@ -11,6 +11,7 @@ from torchrl.data.tensor_specs import ContinuousBox
 from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.batched_envs import BatchedEnvBase
 
+from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.modules import CategoricalPolicy
 from pemirl_trl.modules.model import Policy
 from pemirl_trl.transforms.actions import is_choice
@@ -30,6 +31,17 @@ def check_environment(env: EnvBase, policy: Policy, horizon: int) -> None:
     problems = [*_batch(env), *_action(env, policy), *_inputs(env, policy), *_length(env, horizon)]
     if problems:
         raise ValueError("this environment cannot be trained on: " + "; ".join(problems))
+
+
+def check_acted(demonstrations: DemonstrationDataset) -> None:
+    """Raise ValueError unless demonstrations have actions, without which nothing can be trained."""
+    if demonstrations.action_dim == 0:
+        raise ValueError(
+            "these demonstrations have no actions: Meta-IL imitates actions, and the discriminator "
+            "compares their likelihood, so meta-training needs them. Meta-train on demonstrations "
+            "that have them, with model.encoder_reads=states (by call model={'encoder_reads': "
+            "'states'}); infer and adapt then take these"
+        )
 
 
 def check_episodes(rollouts: TensorDictBase, horizon: int, *, absorbing: bool = False) -> bool:

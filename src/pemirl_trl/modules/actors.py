@@ -10,11 +10,10 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, dispatch
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
-from torchrl.modules import ProbabilisticActor
 
 from pemirl_trl.modules.context_encoder import diagonal_normal
-from pemirl_trl.modules.direct import DirectModule
 from pemirl_trl.modules.network import RowwiseMLP
+from pemirl_trl.modules.policy import ContextActor
 from pemirl_trl.modules.reading import beside, read
 from pemirl_trl.modules.standardize import Standardize
 
@@ -45,7 +44,7 @@ class _GaussianNet(nn.Module):
         return self.standardize(observation), beside(context, observation)
 
 
-class ContextPolicy(ProbabilisticActor):
+class ContextPolicy(ContextActor):
     """The policy pi(a | s, m): a diagonal Gaussian, its mean an MLP, its deviation a constant.
 
     Reads ``observation`` ``[..., S]`` and ``context`` ``[..., D]``; writes ``loc``, ``scale``,
@@ -109,44 +108,19 @@ class ContextPolicy(ProbabilisticActor):
             standardize_context,
         )
         super().__init__(
-            module=DirectModule(
-                gaussian, ["observation", context_key], ["loc", "scale"], reader="ContextPolicy"
-            ),
-            in_keys=["loc", "scale"],
-            out_keys=["action"],
-            distribution_class=diagonal_normal,
-            return_log_prob=True,
+            gaussian,
+            ["loc", "scale"],
+            diagonal_normal,
+            action_dim=action_dim,
+            context_key=context_key,
             log_prob_key=log_prob_key,
         )
-        self.observation_key: NestedKey = "observation"
-        self.context_key = context_key
-        self.loc_key, self.scale_key, self.action_key = "loc", "scale", "action"
-        self.action_dim = action_dim
-
-    @property
-    def log_prob_key(self) -> NestedKey:
-        """Where log pi is written."""
-        return self[-1].log_prob_key
+        self.loc_key, self.scale_key = "loc", "scale"
 
     @property
     def gaussian(self) -> _GaussianNet:
         """The network of mean and deviation."""
-        return self.module[0].net
-
-    @property
-    def net(self) -> nn.Module:
-        """The network of the mean."""
-        return self.gaussian.net
-
-    @property
-    def standardize(self) -> Standardize:
-        """The map of observations."""
-        return self.gaussian.standardize
-
-    @property
-    def log_scale(self) -> nn.Parameter:
-        """Logarithm of the deviation, ``[A]``."""
-        return self.gaussian.log_scale
+        return self.network
 
     @property
     def log_peak(self) -> Tensor:

@@ -8,7 +8,7 @@ import torch
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
 
-from pemirl_trl.modules.context_encoder import GaussianContext, GaussianHead, valid_steps
+from pemirl_trl.modules.context_encoder import GaussianContext, GaussianHead, valid_inputs
 from pemirl_trl.modules.network import RowwiseMLP
 from pemirl_trl.modules.standardize import Standardize
 
@@ -41,14 +41,11 @@ class _AttentionNet(nn.Module):
         self.net, self.head = net, head
 
     def forward(
-        self, observation: Tensor, action: Tensor, mask: Tensor | None
+        self, observation: Tensor, mask: Tensor | None, *action: Tensor
     ) -> tuple[Tensor, Tensor]:
-        inputs = torch.cat([self.standardize(observation), action], -1)
-        mask = valid_steps(mask, inputs)
-        # Select rather than multiply, and before the network as well as after: see the average.
+        inputs, mask = valid_inputs(mask, self.standardize(observation), *action)
         valid = mask.unsqueeze(-1)
-        where = places(mask).to(inputs.dtype)
-        steps = self.step_net(torch.where(valid, inputs, 0.0), where)  # [N, T, W]
+        steps = self.step_net(inputs, places(mask).to(inputs.dtype))  # [N, T, W]
         attention = self.scores(steps).masked_fill(~valid, -torch.inf).softmax(-2)  # [N, T, H]
         pooled = attention.mT @ steps  # [N, H, W]
         return self.head(self.net(pooled.flatten(-2)))
@@ -72,8 +69,8 @@ class AttentionContextEncoder(GaussianContext):
         observation_dim, action_dim, context_dim: S, A and D.
         hidden: widths of the network of a step; the last one is that of the embedding too.
         heads: H.
-        activation, standardize, scale_depends_on_input, initial_scale, context_key: as in
-            :class:`ContextEncoder`.
+        activation, standardize, scale_depends_on_input, initial_scale, context_key,
+            reads_actions: as in :class:`ContextEncoder`.
         mask_key: where the mask stands.
 
     Raises:
@@ -109,10 +106,12 @@ class AttentionContextEncoder(GaussianContext):
         initial_scale: float = 1.0,
         context_key: NestedKey = "context",
         mask_key: NestedKey = "mask",
+        reads_actions: bool = True,
     ) -> None:
         head = GaussianHead(context_dim, scale_depends_on_input, initial_scale)
         width = hidden[-1]
-        step_net = RowwiseMLP(observation_dim + action_dim + _PLACES, width, hidden, activation)
+        step = observation_dim + action_dim * reads_actions + _PLACES
+        step_net = RowwiseMLP(step, width, hidden, activation)
         net = RowwiseMLP(heads * width, head.in_features, [width], activation)
         attention = _AttentionNet(
             step_net,
@@ -121,7 +120,6 @@ class AttentionContextEncoder(GaussianContext):
             head,
             standardize or Standardize.identity(observation_dim),
         )
-        keys = ["observation", "action", mask_key]
-        super().__init__(attention, context_dim, keys, context_key, optional=(mask_key,))
-        self.action_key: NestedKey = "action"
-        self.mask_key = mask_key
+        super().__init__(
+            attention, context_dim, context_key, mask_key=mask_key, reads_actions=reads_actions
+        )

@@ -9,11 +9,10 @@ import torch
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
 from torch.distributions import OneHotCategorical
-from torchrl.modules import ProbabilisticActor
 
 from pemirl_trl.functional import mixed_with_uniform
-from pemirl_trl.modules.direct import DirectModule
 from pemirl_trl.modules.network import RowwiseMLP
+from pemirl_trl.modules.policy import ContextActor
 from pemirl_trl.modules.reading import beside
 from pemirl_trl.modules.standardize import Standardize
 
@@ -53,7 +52,7 @@ class _CategoricalNet(nn.Module):
         return (mixed_with_uniform(logits, self.log_scale),)
 
 
-class CategoricalPolicy(ProbabilisticActor):
+class CategoricalPolicy(ContextActor):
     r"""The policy pi(a | s, m) of n discrete actions: (1 - eps) softmax(g(s, m))_a + eps / n.
 
     Reads ``observation`` ``[..., S]`` and ``context`` ``[..., D]``; writes ``logits`` ``[..., n]``,
@@ -118,39 +117,14 @@ class CategoricalPolicy(ProbabilisticActor):
             standardize_context,
         )
         super().__init__(
-            module=DirectModule(
-                categorical, ["observation", context_key], ["logits"], reader="CategoricalPolicy"
-            ),
-            in_keys=["logits"],
-            out_keys=["action"],
-            distribution_class=one_hot_categorical,
-            return_log_prob=True,
+            categorical,
+            ["logits"],
+            one_hot_categorical,
+            action_dim=action_dim,
+            context_key=context_key,
             log_prob_key=log_prob_key,
         )
-        self.observation_key: NestedKey = "observation"
-        self.context_key = context_key
-        self.logits_key, self.action_key = "logits", "action"
-        self.action_dim = action_dim
-
-    @property
-    def log_prob_key(self) -> NestedKey:
-        """Where log pi is written."""
-        return self[-1].log_prob_key
-
-    @property
-    def net(self) -> nn.Module:
-        """The network g."""
-        return self.module[0].net.net
-
-    @property
-    def standardize(self) -> Standardize:
-        """The map of observations."""
-        return self.module[0].net.standardize
-
-    @property
-    def log_scale(self) -> Tensor:
-        """Logarithm of the share eps of uniform actions, ``[1]``."""
-        return self.module[0].net.log_scale
+        self.logits_key = "logits"
 
     @property
     def log_peak(self) -> Tensor:

@@ -30,17 +30,25 @@ def diagonal_normal(loc: Tensor, scale: Tensor) -> Independent:
     return Independent(Normal(loc, scale, validate_args=False), 1, validate_args=False)
 
 
-def valid_steps(mask: Tensor | None, steps: Tensor) -> Tensor:
-    """The mask ``[N, T]`` of steps ``[N, T, F]``; without one all are valid.
+def valid_inputs(mask: Tensor | None, *parts: Tensor) -> tuple[Tensor, Tensor]:
+    """What a network reads of steps, ``[N, T, F]`` with zeros for padding, and the mask ``[N, T]``.
+
+    It is selected rather than multiplied, before the network as well as after: padding may hold
+    NaN, which a zero gradient times the input would carry into the weights' gradient.
+
+    Args:
+        mask: True for valid steps; None: all are.
+        parts: ``[N, T, ...]``, which are put together.
 
     Raises:
         ValueError: a trajectory has no valid step.
     """
+    steps = torch.cat(parts, -1)
     if mask is None:
-        return torch.ones_like(steps[..., 0], dtype=torch.bool)
+        return steps, torch.ones_like(steps[..., 0], dtype=torch.bool)
     if not mask.any(-1).all():
         raise ValueError("a trajectory has no valid step: its mask is False everywhere")
-    return mask
+    return torch.where(mask.unsqueeze(-1), steps, 0.0), mask
 
 
 class GaussianHead(nn.Module):
@@ -75,13 +83,13 @@ class _FlatTrajectoryNet(nn.Module):
         super().__init__()
         self.standardize, self.net, self.head, self.horizon = standardize, net, head, horizon
 
-    def forward(self, observation: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, observation: Tensor, *action: Tensor) -> tuple[Tensor, Tensor]:
         if observation.shape[-2] != self.horizon:
             raise ValueError(
                 f"this encoder takes trajectories of exactly {self.horizon} steps, got "
                 f"{observation.shape[-2]}; for other lengths use MaskedContextEncoder"
             )
-        steps = torch.cat([self.standardize(observation), action], -1)
+        steps = torch.cat([self.standardize(observation), *action], -1)
         return self.head(self.net(steps.flatten(-2)))
 
 
@@ -93,30 +101,44 @@ class _MaskedTrajectoryNet(nn.Module):
         self.standardize, self.step_net, self.net, self.head = standardize, step_net, net, head
 
     def forward(
-        self, observation: Tensor, action: Tensor, mask: Tensor | None
+        self, observation: Tensor, mask: Tensor | None, *action: Tensor
     ) -> tuple[Tensor, Tensor]:
-        inputs = torch.cat([self.standardize(observation), action], -1)
-        mask = valid_steps(mask, inputs)
-        # Select rather than multiply, and before the network as well as after: padding may hold
-        # NaN, which a zero gradient times the input would carry into the weights' gradient.
+        inputs, mask = valid_inputs(mask, self.standardize(observation), *action)
         valid = mask.unsqueeze(-1)
-        steps = self.step_net(torch.where(valid, inputs, 0.0))
+        steps = self.step_net(inputs)
         mean = torch.where(valid, steps, 0.0).sum(-2) / mask.sum(-1, keepdim=True)
         return self.head(self.net(mean))
 
 
 class GaussianContext(ProbabilisticTensorDictSequential):
-    """A network that gives (loc, scale), followed by the Gaussian over the context."""
+    """A network that gives (loc, scale), followed by the Gaussian over the context.
+
+    Args:
+        net: takes observations, the mask if there is a ``mask_key``, and actions if it reads them.
+        context_dim: D.
+        context_key: where the sample is written.
+        mask_key: where a mask may stand; None: the network takes none.
+        reads_actions: whether the network takes actions.
+    """
 
     def __init__(
         self,
         net: nn.Module,
         context_dim: int,
-        in_keys: list[NestedKey],
         context_key: NestedKey,
-        optional: tuple[NestedKey, ...] = (),
+        *,
+        mask_key: NestedKey | None = None,
+        reads_actions: bool = True,
     ) -> None:
         loc_key, scale_key = "context_loc", "context_scale"
+        optional: tuple[NestedKey, ...] = ()
+        if mask_key is not None:
+            self.mask_key = mask_key
+            optional = (mask_key,)
+        in_keys: list[NestedKey] = ["observation", *optional]
+        if reads_actions:
+            self.action_key: NestedKey = "action"
+            in_keys.append("action")
         super().__init__(
             DirectModule(net, in_keys, [loc_key, scale_key], optional, reader=type(self).__name__),
             ProbabilisticTensorDictModule(
@@ -125,7 +147,7 @@ class GaussianContext(ProbabilisticTensorDictSequential):
                 distribution_class=diagonal_normal,
             ),
         )
-        self.context_dim = context_dim
+        self.context_dim, self.reads_actions = context_dim, reads_actions
         self.observation_key: NestedKey = "observation"
         self.context_key = context_key
         self.loc_key, self.scale_key = loc_key, scale_key
@@ -150,9 +172,22 @@ class GaussianContext(ProbabilisticTensorDictSequential):
         """
         return super().get_dist(self._trajectories(tensordict).copy(), **kwargs)
 
+    def check_recorded(self, action: Tensor) -> None:
+        """Raise ValueError if it reads actions ``[..., A]`` and none were recorded: A is 0."""
+        if self.reads_actions and action.shape[-1] == 0:
+            raise ValueError(
+                "this encoder reads actions, and of these demonstrations none were recorded; a "
+                "model with model.encoder_reads=states (by call model={'encoder_reads': 'states'}) "
+                "infers from states alone: meta-train one on demonstrations that have actions"
+            )
+
     def _trajectories(self, data: Any) -> Any:
         data = trajectories_of(data)
-        observation = data.get(self.observation_key, None) if is_tensor_collection(data) else None
+        if not is_tensor_collection(data):
+            return data
+        observation = data.get(self.observation_key, None)
+        if (action := data.get("action", None)) is not None:
+            self.check_recorded(action)
         if observation is not None and data.ndim > observation.ndim - 2:
             raise ValueError(
                 f"{type(self).__name__} reduces time: it takes trajectories of batch size [N] with "
@@ -180,6 +215,8 @@ class ContextEncoder(GaussianContext):
     Args:
         observation_dim, action_dim, context_dim: S, A and D.
         horizon: T.
+        reads_actions: whether it reads actions; one that does not infers from observations alone,
+            also where no actions were recorded, and has no ``action_key``.
         hidden: widths of the hidden layers.
         activation: class of the non-linearity.
         standardize: map of observations; by default none.
@@ -217,17 +254,16 @@ class ContextEncoder(GaussianContext):
         scale_depends_on_input: bool = False,
         initial_scale: float = 1.0,
         context_key: NestedKey = "context",
+        reads_actions: bool = True,
     ) -> None:
         head = GaussianHead(context_dim, scale_depends_on_input, initial_scale)
-        net = RowwiseMLP(
-            horizon * (observation_dim + action_dim), head.in_features, hidden, activation
-        )
+        step = observation_dim + action_dim * reads_actions
+        net = RowwiseMLP(horizon * step, head.in_features, hidden, activation)
         flat = _FlatTrajectoryNet(
             net, head, standardize or Standardize.identity(observation_dim), horizon
         )
-        super().__init__(flat, context_dim, ["observation", "action"], context_key)
+        super().__init__(flat, context_dim, context_key, reads_actions=reads_actions)
         self.horizon = horizon
-        self.action_key: NestedKey = "action"
 
     def _trajectories(self, data: Any) -> Any:
         data = super()._trajectories(data)
@@ -259,7 +295,7 @@ class NoContext(GaussianContext):
     """
 
     def __init__(self, *, context_key: NestedKey = "context") -> None:
-        super().__init__(_NothingNet(), 0, ["observation"], context_key)
+        super().__init__(_NothingNet(), 0, context_key, reads_actions=False)
 
 
 class MaskedContextEncoder(GaussianContext):
@@ -274,8 +310,8 @@ class MaskedContextEncoder(GaussianContext):
     Args:
         observation_dim, action_dim, context_dim: S, A and D.
         hidden: widths of the network of a step; the last one is that of the average too.
-        activation, standardize, scale_depends_on_input, initial_scale, context_key: as in
-            :class:`ContextEncoder`.
+        activation, standardize, scale_depends_on_input, initial_scale, context_key,
+            reads_actions: as in :class:`ContextEncoder`.
         mask_key: where the mask stands.
 
     Raises:
@@ -295,15 +331,16 @@ class MaskedContextEncoder(GaussianContext):
         initial_scale: float = 1.0,
         context_key: NestedKey = "context",
         mask_key: NestedKey = "mask",
+        reads_actions: bool = True,
     ) -> None:
         head = GaussianHead(context_dim, scale_depends_on_input, initial_scale)
         width = hidden[-1]
-        step_net = RowwiseMLP(observation_dim + action_dim, width, hidden, activation)
+        step = observation_dim + action_dim * reads_actions
+        step_net = RowwiseMLP(step, width, hidden, activation)
         net = RowwiseMLP(width, head.in_features, [width], activation)
         masked = _MaskedTrajectoryNet(
             step_net, net, head, standardize or Standardize.identity(observation_dim)
         )
-        keys = ["observation", "action", mask_key]
-        super().__init__(masked, context_dim, keys, context_key, optional=(mask_key,))
-        self.action_key: NestedKey = "action"
-        self.mask_key = mask_key
+        super().__init__(
+            masked, context_dim, context_key, mask_key=mask_key, reads_actions=reads_actions
+        )

@@ -19,6 +19,7 @@ from pemirl_trl.modules.reward import ShapedReward
 from pemirl_trl.modules.standardize import Standardize
 
 EncoderKind = Literal["flat", "masked", "attention"]
+EncoderReads = Literal["states_and_actions", "states"]
 RewardKind = Literal["shaped", "gail"]
 ActionKind = Literal["continuous", "discrete"]
 Policy = ContextPolicy | CategoricalPolicy
@@ -33,6 +34,8 @@ class ModelConfig:
         context_dim: D, dimension of the latent context; 0 for methods that know none.
         encoder: ``"flat"``, an MLP on the whole trajectory (the paper's), or, for trajectories of
             any length, ``"attention"``, or ``"masked"``, the average of embedded steps.
+        encoder_reads: ``"states_and_actions"`` (the paper's), or ``"states"``: then m is inferred
+            also of demonstrations without actions. Training needs them either way, for the policy.
         reward: ``"shaped"``, AIRL's r and h, or ``"gail"``, the logit of GAIL's D(s, a).
         encoder_hidden, policy_hidden, reward_hidden: widths of the hidden layers.
         reward_gamma: discount of the potential in f.
@@ -48,6 +51,7 @@ class ModelConfig:
 
     context_dim: Index = 3
     encoder: EncoderKind = "flat"
+    encoder_reads: EncoderReads = "states_and_actions"
     reward: RewardKind = "shaped"
     encoder_hidden: Sequence[Count] = (128, 128)
     policy_hidden: Sequence[Count] = (64, 64)
@@ -119,12 +123,15 @@ class PEMIRLModel(nn.Module):
         if c.context_dim == 0:
             return NoContext()
         sizes = (self.observation_dim, self.action_dim, c.context_dim)
+        common: dict[str, Any] = {
+            "hidden": c.encoder_hidden,
+            "standardize": self.standardize,
+            "reads_actions": c.encoder_reads == "states_and_actions",
+        }
         if c.encoder != "flat":
             kind = MaskedContextEncoder if c.encoder == "masked" else AttentionContextEncoder
-            return kind(*sizes, hidden=c.encoder_hidden, standardize=self.standardize)
-        return ContextEncoder(
-            *sizes, self.horizon, hidden=c.encoder_hidden, standardize=self.standardize
-        )
+            return kind(*sizes, **common)
+        return ContextEncoder(*sizes, self.horizon, **common)
 
     def _new_reward(self) -> ShapedReward | GAILDiscriminator:
         c = self.config

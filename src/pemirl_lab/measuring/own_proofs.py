@@ -1,0 +1,141 @@
+"""What the reward of one demonstration is worth on a task of one's own, in true returns.
+
+The examples of tasks that are nobody's here (``examples/own_*``) share this. True returns are for
+their report; no learner reads them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import NestedKey
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+from torchrl.envs import EnvBase
+
+from pemirl_lab.results import environment_facts
+from pemirl_trl import (
+    Adaptation,
+    DemonstrationDataset,
+    InferContext,
+    PEMIRLModel,
+    SampleTasks,
+    infer,
+)
+from pemirl_trl.files import atomic_path
+from pemirl_trl.methods import PolicyOptimization, PolicyOptimizationConfig, train
+from pemirl_trl.modules.model import Policy
+
+EPISODES = 10
+"""Of each unseen task, for the report."""
+
+
+def without_tasks(demonstrations: DemonstrationDataset) -> DemonstrationDataset:
+    """What a learner is given: observations, actions, and how the episodes ended."""
+    return dataclasses.replace(demonstrations, task=None)
+
+
+def of_contexts(model: PEMIRLModel, new: DemonstrationDataset) -> InferContext:
+    """Resets to each new task ``EPISODES`` times, with the context of its demonstration."""
+    return InferContext(
+        model.encoder,
+        new,
+        rollouts_per_context=EPISODES,
+        draw="all",
+        sample=False,
+        tasks=new.tasks(),
+    )
+
+
+def of_tasks(new: DemonstrationDataset, rollouts: int = EPISODES) -> SampleTasks:
+    """Resets to each new task, so many times, without a context."""
+    return SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=rollouts)
+
+
+def distances(model: PEMIRLModel, new: DemonstrationDataset) -> list[str]:
+    """How far each new demonstration is from those of training, in words."""
+    one_each = without_tasks(new)
+    return [str(infer(model, one_each[i]).distance) for i in range(len(new))]
+
+
+def told(adaptation: Adaptation) -> dict[str, Any]:
+    """What an adaptation says of itself."""
+    return {
+        "kept": adaptation.kept,
+        "start": adaptation.start,
+        "tries": dict(adaptation.tries),
+        "learned_return": adaptation.learned_return,
+        "carried_over_learned_return": adaptation.carried_over_return,
+        "warnings": list(adaptation.warnings),
+        "adaptation_env_steps": adaptation.env_steps,
+    }
+
+
+def train_on_true_reward(
+    policy: Policy,
+    env: EnvBase,
+    horizon: int,
+    optimization: PolicyOptimizationConfig,
+    *,
+    rollouts: int,
+    reward: Callable[[Tensor, Tensor], Tensor] | None = None,
+    task_key: NestedKey | None = None,
+) -> None:
+    """Train a policy that reads the task, with adaptation's own settings: the oracle.
+
+    Args:
+        policy: trained in place.
+        env: whole episodes, ``rollouts`` of each task in a row.
+        horizon: T.
+        optimization: of the policy.
+        rollouts: of each task.
+        reward: of observations ``[..., S]`` and the task ``[..., P]`` to ``[..., 1]``, with
+            ``task_key``, where the task stands; None: the environment's own.
+        task_key: as said.
+    """
+    asked: dict[str, Any] = {}
+    if reward is not None and task_key is not None:
+        module = TensorDictModule(reward, ["observation", task_key], ["learned_reward"])
+        asked = {"reward": module, "task_keys": (task_key,)}
+    method = PolicyOptimization(
+        env, policy, horizon, optimization, rollouts_per_context=rollouts, **asked
+    )
+    train(method)
+
+
+def result(name: str, seed: int, means: Mapping[str, float], **rest: Any) -> dict[str, Any]:
+    """A result as its file has it: the share of the gap that is closed, and the rest.
+
+    Args:
+        name: of the task.
+        seed: of demonstrations and training.
+        means: true returns; ``adapted``, ``carried_over`` and ``rl_with_true_reward`` among them.
+        rest: what else there is to tell.
+    """
+    worst, best = means["carried_over"], means["rl_with_true_reward"]
+    return {
+        "task": f"own_tasks/{name}",
+        "seed": seed,
+        "gap_closed": (means["adapted"] - worst) / (best - worst),
+        "means": dict(means),
+        **rest,
+        **environment_facts(),
+    }
+
+
+def write_results(folder: Path, run: Callable[[int], dict[str, Any]], seeds: Sequence[str]) -> None:
+    """Run each seed of a command line, and write its result to ``folder/seed<n>.json``."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    torch.set_num_threads(1)
+    for seed in map(int, seeds or ["0"]):
+        found = run(seed)
+        folder.mkdir(parents=True, exist_ok=True)
+        with atomic_path(folder / f"seed{seed}.json") as temporary:
+            temporary.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        logging.info("seed %d: gap closed %.3f; %s", seed, found["gap_closed"], found["means"])
