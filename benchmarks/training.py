@@ -6,7 +6,8 @@ that of MuJoCo's own batch with as many simulations and threads, under the contr
 drew in its last iteration: contacts cost time, so other controls would be other work. Repetitions
 are interleaved, so that a change in the machine's load meets all contenders, and medians count, the
 ratio's over pairs of neighbours. CPU time is that of all threads. The peak memory is that of a
-process of its own, which does two iterations::
+process of its own, which does two iterations. Where the learner has several threads, they should
+sleep while they wait, as the commands tell them (``OMP_WAIT_POLICY=passive``)::
 
     python benchmarks/training.py --task ant/normal --num-threads 2 --output training_ant.json
 """
@@ -63,22 +64,23 @@ def raw_engine(method: Timed, name: str, num_threads: int) -> Contender:
     def run() -> Seconds:
         states, controls = recorded(env, method.actions)
         fields = {name: batch.bind(name) for name in controls[0]}
-        start = time.perf_counter()
+        start, cpu = time.perf_counter(), time.process_time()
         with timers_off():  # as the environment does
             batch.state[:] = states
             for control in controls:
                 for name, values in control.items():
                     fields[name][:] = values
                 batch.step(None, env.task.n_sub_steps, env.task.stage)
-        return {"whole": time.perf_counter() - start}
+        return {"whole": time.perf_counter() - start, "cpu": time.process_time() - cpu}
 
     return run
 
 
-def iteration(method: Timed) -> Contender:
+def iteration(method: Timed, torch_threads: int) -> Contender:
     """One iteration, with all updates."""
 
     def run() -> Seconds:
+        torch.set_num_threads(torch_threads)
         cpu = time.process_time()
         method.iteration()
         spent = {"whole": sum(method.seconds.values()), **method.seconds}
@@ -107,18 +109,27 @@ def measure(contenders: dict[str, Contender], repetitions: int) -> dict[str, lis
 def training_row(steps: int, training: list[Seconds], engine: list[Seconds]) -> dict[str, Any]:
     """Medians over the repetitions of so many environment steps each."""
     whole = median(spent["whole"] for spent in training)
-    pairs = zip(engine, training, strict=True)
+    ratios = {
+        part: round(median(e[part] / t[part] for e, t in zip(engine, training, strict=True)), 3)
+        for part in ("whole", "cpu")
+    }
     return {
         "steps_per_second": round(steps / whole),
-        "ratio_to_raw_engine": round(median(e["whole"] / t["whole"] for e, t in pairs), 3),
+        "ratio_to_raw_engine": ratios["whole"],
+        "ratio_of_cpu_time": ratios["cpu"],
         "seconds_per_iteration": round(whole, 3),
-        "cpu_us_per_step": round(median(spent["cpu"] for spent in training) / steps * 1e6, 2),
+        "cpu_us_per_step": _cpu(steps, training),
         "share_of_time": {
             part: round(median(spent[part] / spent["whole"] for spent in training), 3)
             for part in training[0]
             if part not in ("whole", "cpu")
         },
     }
+
+
+def _cpu(steps: int, spent: list[Seconds]) -> float:
+    """Microseconds of CPU time per environment step."""
+    return round(median(each["cpu"] for each in spent) / steps * 1e6, 2)
 
 
 def report(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -129,16 +140,17 @@ def report(arguments: argparse.Namespace) -> dict[str, Any]:
     memory = {setting: peak_memory_alone(setting, *given, threads) for setting in SETTINGS}
     contenders: dict[str, Contender] = {}
     for setting in SETTINGS:
-        method = setting.start(*given, setting.rollouts, threads)
-        contenders[setting.title] = iteration(method)
+        method = setting.start(*given, threads)
+        contenders[setting.title] = iteration(method, setting.torch_threads)
         contenders[setting.engine] = raw_engine(method, name, threads)
     measured = measure(contenders, arguments.repetitions)
     rows: dict[str, dict[str, Any]] = {}
     for setting in SETTINGS:
-        steps = setting.contexts * setting.rollouts * get_task(name).horizon
+        steps = setting.simulations * get_task(name).horizon
         engine, training = measured[setting.engine], measured[setting.title]
         rows[setting.engine] = {
-            "steps_per_second": round(steps / median(spent["whole"] for spent in engine))
+            "steps_per_second": round(steps / median(spent["whole"] for spent in engine)),
+            "cpu_us_per_step": _cpu(steps, engine),
         }
         rows[setting.title] = training_row(steps, training, engine)
         rows[setting.title]["peak_memory_mib"] = memory[setting]
@@ -146,10 +158,17 @@ def report(arguments: argparse.Namespace) -> dict[str, Any]:
         "task": name,
         "method": arguments.method,
         "num_threads": threads,
-        "torch_threads": torch.get_num_threads(),
         "repetitions": arguments.repetitions,
         "results": rows,
+        **machine(),
+    }
+
+
+def machine() -> dict[str, Any]:
+    """Where it ran: hardware, how busy it is, and versions."""
+    return {
         "cpus": os.cpu_count(),
+        "load": round(os.getloadavg()[0], 1),
         "machine": platform.platform(),
         "versions": {
             "python": platform.python_version(),
@@ -162,14 +181,16 @@ def report(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def table(rows: dict[str, dict[str, Any]]) -> str:
     """The rows, for people."""
-    lines = [f"{'':24}{'steps/s':>10}{'of raw':>8}{'s':>8}{'MiB':>7}  time goes to"]
+    heading = f"{'':40}{'steps/s':>10}{'of raw':>8}{'of CPU':>8}{'s':>8}{'MiB':>7}"
+    lines = [f"{heading}  time goes to"]
     for name, row in rows.items():
-        ratio = f"{row['ratio_to_raw_engine']:.0%}" if "ratio_to_raw_engine" in row else ""
+        names = ("ratio_to_raw_engine", "ratio_of_cpu_time")
+        ratio = "".join(f"{row[n]:>8.0%}" if n in row else " " * 8 for n in names)
         parts = sorted(row.get("share_of_time", {}).items(), key=lambda item: -item[1])
         split = ", ".join(f"{part} {share:.0%}" for part, share in parts)
         seconds, memory = row.get("seconds_per_iteration", ""), row.get("peak_memory_mib", "")
-        figures = f"{row['steps_per_second']:>10,}{ratio:>8}{seconds:>8}{memory:>7}"
-        lines.append(f"{name:24}{figures}  {split}".rstrip())
+        figures = f"{row['steps_per_second']:>10,}{ratio}{seconds:>8}{memory:>7}"
+        lines.append(f"{name:40}{figures}  {split}".rstrip())
     return "\n".join(lines) + "\n"
 
 
@@ -193,8 +214,6 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=9)
     parser.add_argument("--output", type=pathlib.Path, help="a JSON file")
     arguments = parser.parse_args()
-    # The tensors are small, and on a busy machine OpenMP's threads spin: ten times slower.
-    torch.set_num_threads(1)
     result = report(arguments)
     sys.stdout.write(table(result["results"]))
     if arguments.output:

@@ -1,4 +1,4 @@
-"""The trainings that ``training.py`` measures: methods that keep the time of their parts."""
+"""What ``training.py`` and ``growth.py`` measure: methods that keep the time of their parts."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from pemirl_trl.methods.adaptation import initial_policy
 
 CONTEXTS = 50  # per iteration of meta-training, as in the paper
 ROLLOUTS = (8, 16)  # per context: this project's default, and the authors' code's
+TORCH_THREADS = 2  # beside one, which is what published results were made with
 DEMONSTRATIONS = 100  # among which contexts are drawn
 TASKS = 10  # of an adaptation, which share its rollouts
 TRAINED = [name for name, method in METHODS.items() if isinstance(method.training, PEMIRLConfig)]
@@ -101,11 +102,11 @@ class TimedAdaptation(PolicyOptimization):
         return metrics
 
 
-def random_demonstrations(name: str, count: int) -> TensorDictBase:
+def random_demonstrations(name: str, count: int, horizon: int) -> TensorDictBase:
     """Rollouts of random actions: the work of an iteration does not depend on who acts."""
     env = make(name, count, seed=0)
     keys = ("observation", "action", ("next", "observation"))
-    rollouts = env.rollout(env.task.horizon).select(*keys)
+    rollouts = env.rollout(horizon).select(*keys)
     rollouts.batch_size = [count]
     return rollouts
 
@@ -130,28 +131,30 @@ def untrained_model(name: str, method: str, experts: TensorDictBase) -> PEMIRLMo
     return model
 
 
-def meta_training(name: str, method: str, rollouts: int, num_threads: int) -> TimedPEMIRL:
+def meta_training(setting: Setting, name: str, method: str, num_threads: int) -> TimedPEMIRL:
     """Meta-training after its first iteration."""
     tasks = task_parameters(name, get_task(name).default_split)[:DEMONSTRATIONS]
-    experts = random_demonstrations(name, len(tasks))
+    experts = random_demonstrations(name, len(tasks), setting.steps(name))
     model = untrained_model(name, method, experts)
-    env = make(name, CONTEXTS * rollouts, seed=0, num_threads=num_threads)
-    context = InferContext(model.encoder, experts, rollouts_per_context=rollouts, tasks=tasks)
+    k = setting.rollouts
+    env = make(name, setting.simulations, seed=0, num_threads=num_threads)
+    env.episodes.max_steps = model.horizon
+    context = InferContext(model.encoder, experts, rollouts_per_context=k, tasks=tasks)
     config = METHODS[method].training
     if not isinstance(config, PEMIRLConfig):
         raise ValueError(f"{method!r} is not measured; expected one of {TRAINED}")
-    config = dataclasses.replace(config, rollouts_per_context=rollouts)
+    config = dataclasses.replace(config, rollouts_per_context=k)
     training = TimedPEMIRL(model, TransformedEnv(env, context), experts, config)
     training.iteration()
     return training
 
 
-def adaptation(name: str, method: str, rollouts: int, num_threads: int) -> TimedAdaptation:
+def adaptation(setting: Setting, name: str, method: str, num_threads: int) -> TimedAdaptation:
     """Adaptation to a learned reward, with the library's defaults, after its first iteration."""
-    experts = random_demonstrations(name, TASKS)
+    experts = random_demonstrations(name, setting.contexts, setting.steps(name))
     model = untrained_model(name, method, experts)
-    env = make(name, TASKS * rollouts, seed=0, num_threads=num_threads)
-    context = InferContext(model.encoder, experts, rollouts_per_context=rollouts)
+    env = make(name, setting.simulations, seed=0, num_threads=num_threads)
+    context = InferContext(model.encoder, experts, rollouts_per_context=setting.rollouts)
     config = AdaptationConfig()
     policy, _ = initial_policy(model, config)
     training = TimedAdaptation(
@@ -159,7 +162,7 @@ def adaptation(name: str, method: str, rollouts: int, num_threads: int) -> Timed
         policy,
         model.horizon,
         config.optimization,
-        rollouts_per_context=rollouts,
+        rollouts_per_context=setting.rollouts,
         reward=model.reward,
     )
     training.iteration()
@@ -173,28 +176,50 @@ class Setting:
     kind: str
     contexts: int
     rollouts: int
-    start: Callable[[str, str, int, int], Timed]
+    begin: Callable[[Setting, str, str, int], Timed]
+    torch_threads: int = 1
+    horizon: int | None = None  # the task's, unless meta-training is given a shorter one
+
+    def steps(self, name: str) -> int:
+        """How long an episode is."""
+        return self.horizon or get_task(name).horizon
+
+    @property
+    def simulations(self) -> int:
+        """How many step at once."""
+        return self.contexts * self.rollouts
 
     @property
     def title(self) -> str:
         """Its name in tables."""
-        return f"{self.kind}, {self.contexts} x {self.rollouts}"
+        threads = "" if self.torch_threads == 1 else f", {self.torch_threads} torch threads"
+        return f"{self.kind}, {self.contexts} x {self.rollouts}{threads}"
 
     @property
     def engine(self) -> str:
         """The name of the raw engine that it is compared with."""
-        return f"raw engine, {self.contexts * self.rollouts}"
+        return f"raw engine, {self.simulations}"
+
+    def start(self, name: str, method: str, num_threads: int) -> Timed:
+        """The training of a task, after its first iteration."""
+        torch.set_num_threads(self.torch_threads)
+        return self.begin(self, name, method, num_threads)
 
 
 SETTINGS = (
     *(Setting("meta-training", CONTEXTS, k, meta_training) for k in ROLLOUTS),
+    Setting("meta-training", CONTEXTS, ROLLOUTS[-1], meta_training, TORCH_THREADS),
     Setting("adaptation", TASKS, AdaptationConfig().rollouts // TASKS, adaptation),
 )
 
 
 def peak_memory(setting: Setting, name: str, method: str, num_threads: int) -> int:
     """MiB that a process needs at most for two iterations; to be called in a fresh one."""
-    torch.set_num_threads(1)
-    setting.start(name, method, setting.rollouts, num_threads).iteration()
+    setting.start(name, method, num_threads).iteration()
+    return peak_memory_mib()
+
+
+def peak_memory_mib() -> int:
+    """What this process has needed at most."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return round(peak / (2**20 if sys.platform == "darwin" else 2**10))  # bytes, or KiB

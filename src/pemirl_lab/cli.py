@@ -68,7 +68,7 @@ def main() -> None:
     elif arguments[0] in ("-sc", "--shell-completion"):
         complete(arguments)
     elif arguments[0] in OTHERS:
-        _without_a_screen()
+        _before_imports()
         importlib.import_module(OTHERS[arguments[0]][0]).main(arguments[1:])
     elif arguments[0] in COMMANDS:
         run(arguments[0], arguments[1:])
@@ -78,7 +78,7 @@ def main() -> None:
 
 def run(command: str, arguments: Sequence[str] | None = None) -> None:
     """Run a command with overrides; None takes those of this process's command line."""
-    _without_a_screen()
+    _before_imports()
     given = sys.argv[1:] if arguments is None else arguments
     importlib.import_module("pemirl_lab.runner").run(command, given, COMMANDS[command])
 
@@ -105,6 +105,14 @@ def usage() -> str:
     """The commands, in one screen."""
     every = {**COMMANDS, **{name: what for name, (_, what) in OTHERS.items()}}
     return USAGE.format(commands="\n".join(f"  {name:<16} {what}" for name, what in every.items()))
+
+
+def _before_imports() -> None:
+    """What libraries read when they are loaded."""
+    # Threads of torch that wait for each other spin, unless told to sleep: on a busy machine that
+    # is many times slower than one thread.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    _without_a_screen()
 
 
 def _without_a_screen() -> None:

@@ -113,3 +113,13 @@ def test_bash_completes_the_second_word_and_values(tmp_path):
     assert rule.endswith("-F hydra_bash_completion pemirl"), done.stderr
     assert commands == "quickstart"
     assert values == "experiment=sawyer_pusher experiment=sweeper"
+
+
+@pytest.mark.parametrize(("given", "then"), [(None, "passive"), ("active", "active")])
+def test_threads_of_torch_sleep_while_they_wait_unless_told_otherwise(monkeypatch, given, then):
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    monkeypatch.setenv("OMP_WAIT_POLICY", given or "to be restored afterwards")
+    if given is None:
+        monkeypatch.delenv("OMP_WAIT_POLICY")
+    cli._before_imports()
+    assert os.environ["OMP_WAIT_POLICY"] == then

@@ -56,6 +56,34 @@ def draw(reach, negatives):
     return build
 
 
+def test_an_encoder_that_is_held_gives_the_same_batches(reach, negatives):
+    model, drawn = reach.model(), {}
+    kinds = {"held": {"encoder_held": True}, "asked anew": {}}
+    batches = {
+        name: DiscriminatorBatches(
+            model, reach.demonstrations, negatives, BatchConfig(), encoder_gradient=False, **kind
+        )
+        for name, kind in kinds.items()
+    }
+    for scale in (1.0, 2.0):  # other weights are asked, too
+        with torch.no_grad():
+            model.encoder.module[0].net.net[-1].weight.mul_(scale)
+        for name, draws in batches.items():
+            torch.manual_seed(0)
+            drawn[name, scale] = draws.sample(4)
+        first, second = drawn["held", scale], drawn["asked anew", scale]
+        for key in first.keys(True, True):
+            torch.testing.assert_close(first[key], second[key], rtol=1e-5, atol=1e-5)
+    assert not torch.allclose(drawn["held", 1.0]["context"], drawn["held", 2.0]["context"])
+
+
+def test_an_encoder_that_is_held_takes_no_gradients(reach, negatives):
+    with pytest.raises(ValueError, match="encoder_held=True needs encoder_gradient=False"):
+        DiscriminatorBatches(
+            reach.model(), reach.demonstrations, negatives, BatchConfig(), encoder_held=True
+        )
+
+
 def rows_of(batch, *keys):
     return torch.cat([batch.get(k).flatten(0, 1) for k in keys], -1)
 

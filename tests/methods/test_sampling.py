@@ -14,19 +14,21 @@ class OwnPolicy(ContextPolicy):
     """A policy that may do what it likes."""
 
 
+@pytest.mark.parametrize("actions", [1, 2, 8])
 @pytest.mark.parametrize("kind", [ExplorationType.RANDOM, ExplorationType.DETERMINISTIC])
-def test_it_writes_the_bits_that_the_policy_writes(kind):
-    policy = ContextPolicy(2, 2, 3, context_key=("task", "goal"), log_prob_key="log_pi")
+def test_it_writes_the_bits_that_the_policy_writes(kind, actions):
+    policy = ContextPolicy(2, actions, 3, context_key=("task", "goal"), log_prob_key="log_pi")
     sampler = sampler_of(policy)
     assert isinstance(sampler, GaussianSampler)
-    goals = TensorDict({"goal": torch.randn(50, 3)}, [50])
-    batch = TensorDict({"observation": torch.randn(50, 2), "task": goals}, [50])
+    goals = TensorDict({"goal": torch.randn(50, 7, 3)}, [50, 7])
+    batch = TensorDict({"observation": torch.randn(50, 7, 2), "task": goals}, [50, 7])
     outputs = []
     for acting in (policy, sampler):
         torch.manual_seed(1)
-        with torch.no_grad(), set_exploration_type(kind):
-            outputs.append(acting(batch.copy()))
+        with torch.no_grad(), set_exploration_type(kind):  # step by step, as a collector does
+            outputs.append(torch.stack([acting(batch[:, t].copy()) for t in range(7)], 1))
     expected, ours = outputs
+    sampler.complete(ours)
     assert set(ours.keys(True)) == set(expected.keys(True))
     assert all(torch.equal(ours[key], expected[key]) for key in expected.keys(True, True))
 

@@ -115,3 +115,43 @@ def test_a_discriminator_without_a_next_observation_has_no_logit():
     )
     with pytest.raises(KeyError, match=r"AIRLDiscriminator reads \('next', 'observation'\)"):
         discriminator(batch)
+
+
+def along_a_rollout():
+    states, m = torch.randn(N, 6, S), torch.randn(N, 1, D)
+    return TensorDict(
+        {
+            "observation": states[:, :-1],
+            "next": {"observation": states[:, 1:]},
+            "context": m.expand(N, 5, D),
+        },
+        [N, 5],
+    )
+
+
+@pytest.mark.parametrize("broken", [None, "state", "context"])
+def test_along_rollouts_the_potential_of_each_state_is_asked_once(broken, float64):
+    reward, b, rows = ShapedReward(S, D), along_a_rollout().clone(), []
+    if broken == "state":
+        b["next", "observation"][3, 2] += 1.0
+    elif broken == "context":
+        b["context"][3, 2] += 1.0
+    reward.potential_net.register_forward_pre_hook(lambda _, given: rows.append(given[0].shape[1]))
+    result = reward(b.copy())
+    assert rows == ([6] if broken is None else [5, 5])
+    flat = reward(b.reshape(-1))
+    torch.testing.assert_close(result["shaped_reward"].flatten(0, 1), flat["shaped_reward"])
+    weights = list(reward.parameters())
+    for ours, theirs in zip(
+        torch.autograd.grad(result["shaped_reward"].square().sum(), weights),
+        torch.autograd.grad(flat["shaped_reward"].square().sum(), weights),
+        strict=True,
+    ):
+        torch.testing.assert_close(ours, theirs)
+
+
+def test_along_rollouts_states_keep_their_gradients():
+    b = along_a_rollout().clone()
+    following = b["next", "observation"].requires_grad_()
+    ShapedReward(S, D)(b)["shaped_reward"].sum().backward()
+    assert following.grad.abs().sum() > 0

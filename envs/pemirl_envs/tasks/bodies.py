@@ -46,7 +46,10 @@ class SeveralBodies(Task):
                 raise ValueError(f"body {i} has a model of sizes {sizes}; body 0 has {wanted}")
         self._own_key = self.task_key
         self._bodies = list(bodies)
-        bounds = (torch.zeros(len(bodies), dtype=torch.float32), torch.ones(len(bodies), dtype=torch.float32))
+        bounds = (
+            torch.zeros(len(bodies), dtype=torch.float32),
+            torch.ones(len(bodies), dtype=torch.float32),
+        )
         self.parameter_bounds = {**self.parameter_bounds, "body": bounds}
 
     @property

@@ -25,7 +25,9 @@ def _provenance(files: Mapping[str, Benchmark]) -> str:
         if package in file["versions"]
     }
     repetitions = ", ".join(f"{task}: {file['repetitions']}" for task, file in files.items())
-    return f"{'; '.join([*sorted(cpus), *sorted(versions)])}; repetitions: {repetitions}.\n"
+    loads = ", ".join(f"{task}: {file['load']}" for task, file in files.items() if "load" in file)
+    busy = f"; load of the machine: {loads}" if loads else ""
+    return f"{'; '.join([*sorted(cpus), *sorted(versions)])}; repetitions: {repetitions}{busy}.\n"
 
 
 def stepping_table(files: Mapping[str, Benchmark]) -> str:
@@ -56,11 +58,30 @@ def _training_table(file: Benchmark) -> str:
     lines = []
     for name, row in file["results"].items():
         parts = sorted(row.get("share_of_time", {}).items(), key=lambda part: -part[1])
-        ratio = f"{row['ratio_to_raw_engine']:.0%}" if "ratio_to_raw_engine" in row else ""
+        names = ("ratio_to_raw_engine", "ratio_of_cpu_time")
+        ratios = [f"{row[ratio]:.0%}" if ratio in row else "" for ratio in names]
         split = ", ".join(f"{part} {share:.0%}" for part, share in parts)
-        lines.append([name, f"{row['steps_per_second']:,}", ratio, split])
-    heading = [f"`{file['task']}`, contexts x rollouts", "steps/s", "of raw", "time goes to"]
+        lines.append([name, f"{row['steps_per_second']:,}", *ratios, split])
+    what = f"`{file['task']}`, contexts x rollouts"
+    heading = [what, "steps/s", "of raw", "of raw, CPU time", "time goes to"]
     return f"{markdown_table(heading, lines)}\n{_provenance({file['task']: file})}"
+
+
+def growth_table(files: Mapping[str, Benchmark]) -> str:
+    """CPU time and peak memory of an iteration, given twice as much of one thing."""
+    chosen = {f["task"]: f for name, f in sorted(files.items()) if name.startswith("growth_")}
+    lines = [
+        [
+            f"`{task}`" if what == "base" else f"twice the {what}",
+            *(str(row[size]) for size in ("contexts", "rollouts", "horizon")),
+            f"{row['cpu_seconds']:.2f} ({row['cpu_ratio']:.2f})",
+            f"{row['peak_memory_mib']} ({row['memory_ratio']:.2f})",
+        ]
+        for task, file in chosen.items()
+        for what, row in file["results"].items()
+    ]
+    heading = ["", "contexts", "rollouts", "horizon", "CPU s an iteration", "peak memory, MiB"]
+    return f"{markdown_table(heading, lines)}\n{_provenance(chosen)}"
 
 
 def integrators_table(files: Mapping[str, Benchmark]) -> str:
@@ -86,6 +107,7 @@ def integrators_table(files: Mapping[str, Benchmark]) -> str:
 TABLES: Mapping[str, Callable[[Mapping[str, Benchmark]], str]] = {
     "stepping": stepping_table,
     "training": training_table,
+    "growth": growth_table,
     "integrators": integrators_table,
 }
 """By the name of the part of a page."""

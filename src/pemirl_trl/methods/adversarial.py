@@ -90,6 +90,7 @@ class AdaptiveSampler:
         demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``; unlabelled.
         config: of the method.
         encoder_gradient: whether the expert's m carries gradients to the encoder.
+        encoder_held: whether the method leaves the encoder as it is.
     """
 
     def __init__(
@@ -100,6 +101,7 @@ class AdaptiveSampler:
         config: AdversarialConfig,
         *,
         encoder_gradient: bool = False,
+        encoder_held: bool = False,
     ) -> None:
         self.policy, self.config = model.policy, config
         self.demonstrations = demonstrations = demonstrations.to(device_of(model))
@@ -107,7 +109,12 @@ class AdaptiveSampler:
         self.imitation_coeff = config.policy.imitation_coeff
         self._collect = collection(env, model.policy, model.horizon)
         self._batches = DiscriminatorBatches(
-            model, demonstrations, self.negatives, config.batch, encoder_gradient=encoder_gradient
+            model,
+            demonstrations,
+            self.negatives,
+            config.batch,
+            encoder_gradient=encoder_gradient,
+            encoder_held=encoder_held,
         )
         stretch = (config.policy.anneal_begin, config.policy.anneal_finish)
         self._scale = AnnealedScale(self.policy.log_scale, config.policy.final_scale, *stretch)

@@ -13,7 +13,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from pemirl_trl.methods.requirements import check_environment
-from pemirl_trl.methods.sampling import sampler_of
+from pemirl_trl.methods.sampling import GaussianSampler, sampler_of
 from pemirl_trl.modules.model import Policy
 from pemirl_trl.modules.network import device_of
 from pemirl_trl.transforms import InferContext
@@ -93,9 +93,10 @@ class EpisodeCollector(Collection):
         self.env, self._learner, self._device = env, policy, device_of(policy)
         here = env.device or torch.device("cpu")
         self._policy = policy if self._device == here else deepcopy(policy).to(here)
+        self._sampler = sampler_of(self._policy)
         self._collector = Collector(
             env,
-            sampler_of(self._policy),
+            self._sampler,
             frames_per_batch=self.frames,
             total_frames=-1,
             device=env.device,  # said outright, it saves a copy of every step's data
@@ -114,6 +115,8 @@ class EpisodeCollector(Collection):
         if self._policy is not self._learner:
             self._policy.load_state_dict(self._learner.state_dict())
         rollouts = next(self._batches)
+        if isinstance(self._sampler, GaussianSampler):
+            self._sampler.complete(rollouts)
         done = rollouts.get(("next", "done"))
         if rollouts.shape[-1] != self.horizon or done[:, :-1].any() or not done[:, -1].all():
             raise ValueError(

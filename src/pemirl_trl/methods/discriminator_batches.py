@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from pydantic.dataclasses import dataclass
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torch.distributions import Independent
 
 from pemirl_trl.configuration import CHECKED, Count, NonNegative, Share
 from pemirl_trl.data import Negatives
 from pemirl_trl.data.negatives import gather_steps
 from pemirl_trl.modules import PEMIRLModel
+from pemirl_trl.modules.context_encoder import diagonal_normal
 from pemirl_trl.modules.network import device_of
 from pemirl_trl.modules.reading import shown_of
 
@@ -57,6 +59,14 @@ class BatchConfig:
     relative_log_prob: bool = False
 
 
+class _Held(NamedTuple):
+    """What q says of all demonstrations, and of which weights, and how often written, it is."""
+
+    weights: list[tuple[int, int]]
+    loc: Tensor  # [J, D]
+    scale: Tensor  # [J, D]
+
+
 class DiscriminatorBatches:
     """Draws batches ``[2 n k]`` of n trajectories a side and k transitions each.
 
@@ -71,9 +81,12 @@ class DiscriminatorBatches:
         negatives: the policy's rollouts.
         config: of a batch.
         encoder_gradient: whether the expert's m carries gradients to the encoder.
+        encoder_held: whether the encoder stays as it is from batch to batch: then q is inferred
+            once for all demonstrations, and anew only after other weights were loaded.
 
     Raises:
-        ValueError: mismatched negatives for a model without contexts.
+        ValueError: mismatched negatives for a model without contexts, or gradients to an encoder
+            that is held.
     """
 
     def __init__(
@@ -84,7 +97,10 @@ class DiscriminatorBatches:
         config: BatchConfig,
         *,
         encoder_gradient: bool = True,
+        encoder_held: bool = False,
     ) -> None:
+        if encoder_gradient and encoder_held:
+            raise ValueError("encoder_held=True needs encoder_gradient=False: nothing would move")
         if config.mismatched_fraction > 0 and model.config.context_dim == 0:
             raise ValueError(
                 f"mismatched_fraction is {config.mismatched_fraction}, but the model has no "
@@ -93,7 +109,8 @@ class DiscriminatorBatches:
         self.model, self.negatives = model, negatives
         self.demonstrations = demonstrations.to(device_of(model))
         self.config = config
-        self.encoder_gradient = encoder_gradient
+        self.encoder_gradient, self.encoder_held = encoder_gradient, encoder_held
+        self._held: _Held | None = None
 
     def sample(self, last: int) -> TensorDict:
         """One batch, with ``is_expert``; negatives come from the ``last`` iterations."""
@@ -113,10 +130,7 @@ class DiscriminatorBatches:
     def _expert(self) -> TensorDict:
         c = self.config
         index = torch.randint(self.demonstrations.batch_size[0], (c.trajectories,))
-        encoder = self.model.encoder
-        drawn = shown_of(self.demonstrations).select(*encoder.in_keys, strict=False)[index]
-        with torch.set_grad_enabled(self.encoder_gradient):
-            m = encoder.get_dist(drawn).rsample()  # [n, D]
+        m = self._posterior(index).rsample()  # [n, D]
         horizon = self.demonstrations["action"].shape[1]
         times = torch.randint(horizon, (c.trajectories, c.time_steps))
         if "mask" in self.demonstrations:
@@ -125,6 +139,25 @@ class DiscriminatorBatches:
         batch.set("context", m.unsqueeze(1).expand(*times.shape, -1))
         batch.set("action_log_prob", self._log_prob(batch))
         return batch.set("is_expert", _flag(batch["action_log_prob"], True))
+
+    def _posterior(self, index: Tensor) -> Independent:
+        """The q(m | demonstration) of those in ``index`` ``[n]``."""
+        encoder = self.model.encoder
+        if not self.encoder_held:
+            drawn = shown_of(self.demonstrations).select(*encoder.in_keys, strict=False)[index]
+            with torch.set_grad_enabled(self.encoder_gradient):
+                return encoder.get_dist(drawn)
+        weights = [(weight.data_ptr(), weight._version) for weight in encoder.parameters()]
+        if self._held is None or self._held.weights != weights:
+            self._held = _Held(weights, *self._posterior_of_all())
+        return diagonal_normal(self._held.loc[index], self._held.scale[index])
+
+    @torch.no_grad()
+    def _posterior_of_all(self) -> tuple[Tensor, Tensor]:
+        encoder = self.model.encoder
+        trajectories = shown_of(self.demonstrations).select(*encoder.in_keys, strict=False)
+        each = [encoder.get_dist(part) for part in trajectories.split(self.config.trajectories)]
+        return torch.cat([q.mean for q in each]), torch.cat([q.stddev for q in each])
 
     @torch.no_grad()
     def _log_prob(self, batch: TensorDictBase) -> Tensor:

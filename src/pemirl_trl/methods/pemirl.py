@@ -169,7 +169,12 @@ class PEMIRL:
         self.model, self.config = model, config
         self.iterations = config.iterations
         self.sampler = AdaptiveSampler(
-            model, env, demonstrations, config, encoder_gradient=config.encoder_gradient
+            model,
+            env,
+            demonstrations,
+            config,
+            encoder_gradient=config.encoder_gradient,
+            encoder_held=config.encoder_lr == 0 and not config.encoder_gradient,
         )
         self._info_loss = info_loss or InfoLoss(
             model.encoder,

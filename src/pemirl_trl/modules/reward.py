@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
@@ -118,13 +119,32 @@ class ShapedReward(TensorDictModuleBase):
         tensordict.set(self.reward_key, reward)
         if next_observation is None:  # r is a function of the state: maps of it have no next one
             return tensordict
-        shaped = shaped_reward(
-            reward,
-            self.potential(observation, context),
-            self.potential(next_observation, context),
-            self.gamma,
-        )
+        potentials = self._potentials(observation, next_observation, context)
+        shaped = shaped_reward(reward, *potentials, self.gamma)
         return tensordict.set(self.shaped_reward_key, shaped)
+
+    def _potentials(
+        self, observation: Tensor, next_observation: Tensor, context: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """h(s, m) and h(s', m); along rollouts, where s' is the following s, h of each once."""
+        if not _along_rollouts(observation, next_observation, context):
+            potential = self.potential(observation, context)
+            return potential, self.potential(next_observation, context)
+        states = torch.cat([observation, next_observation[:, -1:]], 1)  # [N, T + 1, S]
+        potential = self.potential(states, context[:, :1])
+        return potential[:, :-1], potential[:, 1:]
+
+
+def _along_rollouts(observation: Tensor, next_observation: Tensor, context: Tensor) -> bool:
+    """Whether these are rollouts ``[N, T, ...]``, each under one context, and nothing but data."""
+    return (
+        observation.ndim == 3
+        and observation.shape == next_observation.shape
+        and not (observation.requires_grad or next_observation.requires_grad)
+        and context.ndim == 3
+        and torch.equal(observation[:, 1:], next_observation[:, :-1])
+        and torch.equal(context, context[:, :1].expand_as(context))
+    )
 
 
 def _checked(features: Sequence[int] | None, observation_dim: int) -> list[int] | None:
