@@ -14,7 +14,7 @@ from tensordict import TensorDictBase
 
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.evaluation import whole_episodes
-from pemirl_trl.methods.adaptation import AdaptationConfig, initial_policy
+from pemirl_trl.methods.adaptation import AdaptationConfig, initial_policy, objective
 from pemirl_trl.methods.defaults import adaptation_config, found_for_adaptation, table
 from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.environments import Episodes, MakeEnv
@@ -160,7 +160,7 @@ def adapt_in_stages(
     """
     demonstrations = check_demonstrations(model, demonstrations)
     episodes = Episodes(make_env, model, demonstrations, seed, observation_keys=observation_keys)
-    train = _Training(model, demonstrations, episodes, run_stage, seed)
+    train = _Training(model, demonstrations, episodes, run_stage, config, seed)
     carried = model.trained_policy(config.policy_scale)
     carried_return = train.learned_return(carried)
     tries: dict[str, float] = {}
@@ -208,9 +208,11 @@ class _Training:
         demonstrations: DemonstrationDataset,
         episodes: Episodes,
         run_stage: RunStage,
+        config: AdaptationConfig,
         seed: int,
     ) -> None:
         self.model, self.demonstrations, self.seed = model, demonstrations, seed
+        self._config = config
         self.env_steps = 0
         self.history: dict[str, list[Metrics]] = {}
         self._run_stage = run_stage
@@ -229,7 +231,7 @@ class _Training:
             self.model.horizon,
             config.optimization,
             rollouts_per_context=rollouts,
-            reward=self.model.reward,
+            reward=objective(self.model, config, env),
             diagnostics=Diagnostics(self.model, self.demonstrations.trajectories(), rollouts),
         )
         method = _Recorded(optimization)
@@ -240,12 +242,10 @@ class _Training:
         return policy, activation
 
     def learned_return(self, policy: Policy) -> float:
-        """What a policy's mean action earns under r, in the episodes that are common to all."""
-        rollouts = self._rollouts(policy)
-        with torch.no_grad():
-            reward = self.model.reward.reward(rollouts["observation"], rollouts["context"])
-        return float(reward.sum(1).mean())
+        """What a policy's mean action earns, in the episodes that are common to all."""
+        return float(self._rollouts(policy)["learned_reward"].sum(1).mean())
 
+    @torch.no_grad()
     def _rollouts(self, policy: Policy) -> TensorDictBase:
         count = len(self.demonstrations)
         each = max(4, JUDGED_EPISODES // count)
@@ -254,6 +254,7 @@ class _Training:
             torch.manual_seed(seed)
             env = self._episodes(count * each, seed, self._infer(each))
             rollouts = whole_episodes(env, policy, self.model.horizon)
+            objective(self.model, self._config, env)(rollouts)
             env.close()
         return rollouts
 
