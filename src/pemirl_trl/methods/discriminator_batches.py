@@ -34,9 +34,6 @@ class BatchConfig:
             An extension of the paper; 0 is off.
         jitter_scale: the noise's deviation is drawn per trajectory from U(0, jitter_scale), in
             units of the demonstrations' deviation, feature by feature.
-        jitter_least: where above 0, that deviation is drawn log-uniformly from here to
-            ``jitter_scale`` instead: as many negatives a hundredth of the spread away as a whole
-            one, so that r is as sharp as it is wide.
         mismatched_fraction: share of the negatives that are the expert's, not the policy's, under
             the context of another demonstration: an expert, but of which task? Against them alone
             the logit's optimum is log p(s, a|m) - log p(s, a), the pointwise mutual information
@@ -54,7 +51,6 @@ class BatchConfig:
     negative_log_prob: NegativeLogProb = "collection"
     jitter_fraction: Share = 0.0
     jitter_scale: NonNegative = 0.0
-    jitter_least: NonNegative = 0.0
     mismatched_fraction: Share = 0.0
     relative_log_prob: bool = False
 
@@ -178,12 +174,7 @@ class DiscriminatorBatches:
 
     def _jitter(self, batch: TensorDict) -> None:
         c, shape = self.config, batch["observation"].shape
-        drawn = torch.rand(shape[0], 1, 1)
-        if c.jitter_least > 0:
-            spread = c.jitter_least * (c.jitter_scale / c.jitter_least) ** drawn
-        else:
-            spread = drawn * c.jitter_scale
-        scale = spread * self.model.standardize.scale
+        scale = torch.rand(shape[0], 1, 1) * c.jitter_scale * self.model.standardize.scale
         chosen = (torch.rand(shape[0], 1, 1) < c.jitter_fraction).to(scale.dtype)
         noise = chosen * scale * torch.randn(shape)
         if self.model.config.absorbing:
