@@ -33,7 +33,7 @@ def test_budgets_are_those_of_point_maze_at_its_horizon():
     config = meta_training_config(data())
     assert (config.contexts_per_batch, config.training.rollouts_per_context) == (50, 8)
     assert config.training.iterations == 50
-    assert config.meta_il.kl_coeff == 0.01
+    assert config.meta_il.kl_coeff == 0.001
     adaptation = adaptation_config(model(), data(30))
     assert (adaptation.rollouts, adaptation.optimization.iterations) == (180, 72)
 
@@ -53,9 +53,9 @@ def test_budgets_are_kept_at_every_horizon_or_the_least_iterations_are_done(hori
     assert adaptation.rollouts >= 4 * count
 
 
-def test_the_weight_of_kl_is_the_evidence_bounds_own_on_long_episodes_alone():
+def test_the_weight_of_kl_is_a_tenth_of_the_evidence_bounds_own():
     weights = [meta_training_config(data(4, horizon)).meta_il.kl_coeff for horizon in (10, 500)]
-    assert weights == [0.03, 0.002]
+    assert weights == [0.01, 0.0002]
 
 
 def test_deviations_are_in_units_of_the_demonstrated_actions():
@@ -123,7 +123,7 @@ def test_the_table_shows_what_is_used():
     found = found_for_meta_training(data(), "robust", overrides)
     text = table(found, meta_training_config(data(), overrides=overrides))
     assert "training.iterations            7\n" in text
-    assert "meta_il.kl_coeff               0.01\n" in text
+    assert "meta_il.kl_coeff               0.001\n" in text
     assert "rollouts" in table(
         found_for_adaptation(model(), data()), adaptation_config(model(), data())
     )
