@@ -6,6 +6,7 @@ import torch
 from pemirl_trl import DemonstrationDataset, ModelConfig, PEMIRLModel
 from pemirl_trl.methods import (
     METHODS,
+    PRESETS,
     MetaILConfig,
     PolicyOptimizationConfig,
     adaptation_config,
@@ -67,6 +68,12 @@ def test_deviations_are_in_units_of_the_demonstrated_actions():
     assert (config.model.policy_scale, config.training.policy.final_scale) == (10.0, 3.0)
 
 
+def test_the_robust_reward_does_not_depend_on_the_units_of_actions():
+    batches = {preset: meta_training_config(data(), preset).training.batch for preset in PRESETS}
+    relative = {preset: batch.relative_log_prob for preset, batch in batches.items()}
+    assert relative == {"paper": False, "robust": True, "contrastive": True}
+
+
 def test_actions_that_are_all_zero_are_refused():
     with pytest.raises(ValueError, match="the demonstrated actions are all 0"):
         meta_training_config(data(size=0.0))
@@ -122,8 +129,10 @@ def test_the_table_shows_what_is_used():
     overrides = {"training": {"iterations": 7}}
     found = found_for_meta_training(data(), "robust", overrides)
     text = table(found, meta_training_config(data(), overrides=overrides))
-    assert "training.iterations            7\n" in text
-    assert "meta_il.kl_coeff               0.001\n" in text
+    lines = [line.split() for line in text.splitlines()]
+    assert ["training.iterations", "7"] in lines
+    assert ["meta_il.kl_coeff", "0.001"] in lines
+    assert ["training.batch.relative_log_prob", "True"] in lines
     assert "rollouts" in table(
         found_for_adaptation(model(), data()), adaptation_config(model(), data())
     )
@@ -144,7 +153,7 @@ def test_one_hot_actions_ask_for_a_categorical_policy_with_shares_for_deviations
     assert (final is None) == (preset != "robust")
     assert final is None or final < config.model.policy_scale
     text = table(found_for_meta_training(choices(), preset), config)
-    assert "model.actions                  discrete\n" in text
+    assert ["model.actions", "discrete"] in [line.split() for line in text.splitlines()]
     one_hot = PEMIRLModel(2, 3, 40, config.model)
     adaptation = adaptation_config(one_hot, choices(10))
     assert 1 > adaptation.policy_scale > adaptation.optimization.final_scale > 0

@@ -114,8 +114,10 @@ def found_for_meta_training(
         final = 0.3 * scale if kind == "continuous" else FINAL_UNIFORM_SHARE
         training["policy"] = {"final_scale": final}
     if preset == "robust":
-        # As Meta-IL made them, contexts stay what r was learned for.
+        # As Meta-IL made them, contexts stay what r was learned for. The level of log pi depends on
+        # the units of actions and moves as the deviation shrinks: r need not chase it.
         training |= {"info_coeff": 0.0, "encoder_lr": 0.0}
+        training["batch"]["relative_log_prob"] = True
     model: dict[str, Any] = {"policy_scale": scale}
     if kind != "continuous":
         model["actions"] = kind
