@@ -62,7 +62,7 @@ def pemirl(mine, command, monkeypatch):
 def test_a_task_of_ones_own_from_demonstrations_to_a_policy(pemirl, mine, capsys):
     pemirl("meta_train", *TRAIN, *FEW)
     shown = capsys.readouterr()
-    assert "training.rollouts_per_context     2\n" in shown.out
+    assert "training.rollouts_per_context       2\n" in shown.out
     assert load_model(mine / "R/model.safetensors").family is not None
     pemirl("adapt_reward", *ADAPT)
     pemirl("infer", "model_file=R/model.safetensors", "demonstration=one.safetensors")

@@ -74,6 +74,12 @@ def test_the_robust_reward_does_not_depend_on_the_units_of_actions():
     assert relative == {"paper": False, "robust": True, "contrastive": True}
 
 
+def test_demonstrations_of_other_tasks_are_negatives_of_the_robust_reward():
+    batches = {preset: meta_training_config(data(), preset).training.batch for preset in PRESETS}
+    shares = {preset: batch.mismatched_fraction for preset, batch in batches.items()}
+    assert shares == {"paper": 0.0, "robust": 0.25, "contrastive": 0.5}
+
+
 def test_actions_that_are_all_zero_are_refused():
     with pytest.raises(ValueError, match="the demonstrated actions are all 0"):
         meta_training_config(data(size=0.0))

@@ -115,9 +115,10 @@ def found_for_meta_training(
         training["policy"] = {"final_scale": final}
     if preset == "robust":
         # As Meta-IL made them, contexts stay what r was learned for. The level of log pi depends on
-        # the units of actions and moves as the deviation shrinks: r need not chase it.
+        # the units of actions and moves as the deviation shrinks: r need not chase it. What other
+        # tasks' demonstrations do under this context says where this task's goal ends.
         training |= {"info_coeff": 0.0, "encoder_lr": 0.0}
-        training["batch"]["relative_log_prob"] = True
+        training["batch"] |= {"relative_log_prob": True, "mismatched_fraction": 0.25}
     model: dict[str, Any] = {"policy_scale": scale}
     if kind != "continuous":
         model["actions"] = kind
