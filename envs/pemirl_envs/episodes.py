@@ -137,8 +137,6 @@ class Episodes:
         if parameters is not None:
             self.task.validate_parameters(parameters, n, mask)
         drawn, state = draw_episode(self.task, n, self.split, parameters, self.generator)
-        self.simulation.reset(mask)
-        self.simulation.write(state, mask)
         if mask is None:
             self.parameters = drawn
             self.step_count = torch.zeros_like(self.step_count)
@@ -148,6 +146,11 @@ class Episodes:
                 for name, new in drawn.items()
             }
             self.step_count = self.step_count.masked_fill(mask, 0)
+        models = self.task.models(self.parameters)
+        if models is not None:
+            self.simulation.set_models(models)
+        self.simulation.reset(mask)
+        self.simulation.write(state, mask)
 
     def step(self, action: Tensor, mask: Tensor | None = None) -> tuple[Tensor, dict[int, str]]:
         """Acts once in every episode.

@@ -73,6 +73,7 @@ from pemirl_trl.transforms import (
     LearnedReward,
     OneHotActions,
     SampleTasks,
+    TellBody,
 )
 
 if TYPE_CHECKING:
@@ -127,6 +128,7 @@ __all__ = [
     "Sign",
     "Standardize",
     "TRPOLoss",
+    "TellBody",
     "TrainingFamily",
     "TrustRegionOptimizer",
     "TrustRegionResult",

@@ -219,3 +219,18 @@ def test_log_pi_may_be_relative_to_the_policys_density_at_its_mean(draw):
     peak = Normal(torch.zeros_like(scale), scale).log_prob(torch.zeros_like(scale)).sum()
     torch.testing.assert_close(relative["action_log_prob"], plain["action_log_prob"] - peak)
     assert torch.equal(relative["observation"], plain["observation"])
+
+
+def test_the_experts_m_is_of_what_is_shown_in_its_place(reach, negatives):
+    """Steps are the demonstrations' own, contexts those of the others, draw by draw."""
+    model, own = reach.model(), reach.demonstrations
+    other = own.apply(torch.neg)
+    config = BatchConfig(trajectories=TRAJECTORIES, time_steps=STEPS)
+
+    def expert(demonstrations):
+        torch.manual_seed(0)
+        return sides(DiscriminatorBatches(model, demonstrations, negatives, config).sample(4))[0]
+
+    paired = expert(own.clone().set("shown", other))
+    assert torch.equal(paired["observation"], expert(own)["observation"])
+    assert torch.equal(paired["context"], expert(other)["context"])

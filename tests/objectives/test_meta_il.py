@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch.distributions import Normal, kl_divergence
 from torchrl.modules import ProbabilisticActor
@@ -101,3 +102,22 @@ def test_a_policy_without_contexts_is_refused():
     )
     with pytest.raises(ValueError, match=r"reads \['observation'\].*known to be the context"):
         MetaILLoss(networks().encoder, policy)
+
+
+def test_m_is_of_what_is_shown_and_the_actions_are_the_demonstrations_own():
+    model, batch = networks(), rollouts().select("observation", "action")
+    batch.batch_size = batch.batch_size[:1]
+    other = batch.apply(torch.neg)
+    loss = MetaILLoss(model.encoder, model.policy)
+    torch.manual_seed(0)
+    losses = loss(batch.clone().set("shown", other))
+    torch.manual_seed(0)
+    q = model.encoder.get_dist(other)
+    m = q.rsample().unsqueeze(1).expand(-1, T, -1)
+    inputs = TensorDict({"observation": batch["observation"], "context": m}, [len(batch), T])
+    expected = -model.policy.get_dist(inputs).log_prob(batch["action"]).mean()
+    assert torch.allclose(losses["loss_imitation"], expected)
+    prior = Normal(torch.zeros(D), torch.ones(D))
+    assert torch.allclose(
+        losses["kl"], kl_divergence(Normal(q.mean, q.stddev), prior).sum(-1).mean()
+    )

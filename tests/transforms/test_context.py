@@ -58,6 +58,13 @@ def test_the_context_is_that_of_the_demonstration_drawn(make, encoder, demonstra
     assert not start["context"].requires_grad
 
 
+def test_the_context_is_that_of_what_is_shown_in_its_place(make, encoder, demonstrations):
+    shown = demonstrations.clone().apply(torch.neg)
+    demonstrations.set("shown", shown)
+    start = make().reset()
+    assert torch.allclose(start["context"], encoder.get_dist(shown[start["demonstration"]]).mean)
+
+
 def test_without_contexts_demonstrations_are_drawn_all_the_same(demonstrations, tasks):
     transform = InferContext(NoContext(), demonstrations, rollouts_per_context=K, tasks=tasks)
     env = TransformedEnv(Line(N, T), transform)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import weakref
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 
 import mujoco
@@ -110,6 +111,14 @@ class MujocoBatch:
                 self._derived_fields[name] = self._batch.bind(name)
                 self._batch.forward(stage=self._stage)  # it would be zero until the next call
         return torch.from_numpy(self._derived_fields[name].copy())
+
+    def set_models(self, models: Sequence[mujoco.MjModel]) -> None:
+        """Runs simulation i on ``models[i]`` from now on.
+
+        Raises:
+            ValueError: a model's sizes differ from those of the batch's, or there are not N.
+        """
+        self._batch.set_models(list(models))
 
     def write(self, state: State, mask: Tensor | None = None, *, refresh: bool = True) -> None:
         """Writes state fields of the simulations in ``mask`` (bool ``[N]``; ``None``: all).

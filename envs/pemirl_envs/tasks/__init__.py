@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 
 from pemirl_envs.tasks import ant, point_maze, sawyer_pusher, sweeper
 from pemirl_envs.tasks.base import Layout, Parameters, Task
+from pemirl_envs.tasks.bodies import SeveralBodies
 from pemirl_envs.tasks.quantities import Component, Controller, Outcome
 
 Variants = Mapping[str, Callable[[], Task]]
@@ -76,6 +77,7 @@ __all__ = [
     "Layout",
     "Outcome",
     "Parameters",
+    "SeveralBodies",
     "Task",
     "Variants",
     "get_task",

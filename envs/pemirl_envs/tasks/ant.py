@@ -34,7 +34,7 @@ _UPSIDE_DOWN_COST = 1.0
 _POSITION_OFFSET = 0.1  # m, rad; half-width of the uniform initial offset of each coordinate
 _VELOCITY_STD = 0.1  # m/s, rad/s
 
-_FORWARD, _BACKWARD = 1.0, -1.0
+_DIRECTIONS = ((1.0,), (-1.0,))  # forward, backward
 _POSITIONS, _VELOCITIES = 13, 14  # how many of each an observation holds
 
 
@@ -60,7 +60,8 @@ class Ant(Task):
 
     The task parameter is ``direction``, float32 ``[N, 1]``: 1 (forward) or -1 (backward).
 
-    Splits: ``train``, ``validation`` and ``test`` are the same two directions; there are no others.
+    Splits: ``train``, ``validation``, ``test`` and ``confirm`` are the same two directions; there
+    are no others.
 
     Args:
         disabled: legs (1 to 4) whose thighs and shins are half as long, and whose motors have a
@@ -78,7 +79,7 @@ class Ant(Task):
     task_space = ("torso_velocity_xy",)
     outcomes = MappingProxyType({"speed_m_per_s": speed_along_direction})
     default_split = "train"
-    splits = ("train", "validation", "test")
+    splits = ("train", "validation", "test", "confirm")
 
     def __init__(
         self,
@@ -91,7 +92,7 @@ class Ant(Task):
             raise ValueError(f"there is no leg {unknown}; legs are {list(_LEGS)}")
         self._disabled_legs = tuple(legs)
         self._integrator = integrator
-        forward, backward = self.task_set("train")["direction"]
+        forward, backward = torch.tensor(_DIRECTIONS)
         self.parameter_bounds = {"direction": (backward, forward)}
 
     def build_spec(self) -> mujoco.MjSpec:
@@ -107,13 +108,13 @@ class Ant(Task):
         """Both directions, forward first, float32 ``[2, 1]``: every split is this set."""
         if split not in self.splits:
             raise ValueError(f"{split!r} is not a finite split; expected one of {self.splits}")
-        return {"direction": torch.tensor([[_FORWARD], [_BACKWARD]], dtype=torch.float32)}
+        return {"direction": torch.tensor(_DIRECTIONS)}
 
     def sample_parameters(self, n: int, split: str, generator: Generator) -> dict[str, Tensor]:
         """Draws ``n`` directions, float32 ``[N, 1]``, each with probability 1/2."""
         if split not in self.splits:
             raise ValueError(f"unknown split {split!r}; expected one of {self.splits}")
-        directions = self.task_set(split)["direction"]
+        directions = torch.tensor(_DIRECTIONS)
         return {"direction": directions[torch.randint(2, (n,), generator=generator)]}
 
     def validate_parameters(

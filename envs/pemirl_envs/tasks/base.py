@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -78,6 +78,13 @@ class Task(abc.ABC):
     def model(self) -> mujoco.MjModel:
         """The compiled model. Shared: engines copy it, nobody edits it."""
         return self.build_spec().compile()
+
+    def models(self, parameters: Parameters) -> Sequence[mujoco.MjModel] | None:
+        """The model of each of ``N`` episodes, of one size, where parameters tell them apart.
+
+        None, the default: all run on :attr:`model`. The models are shared, as that is.
+        """
+        return None
 
     @functools.cached_property
     def action_bounds(self) -> tuple[Tensor, Tensor]:

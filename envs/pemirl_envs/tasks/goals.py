@@ -7,7 +7,7 @@ import dataclasses
 import torch
 from torch import Generator, Tensor
 
-_SET_SIZES = {"train_100": 100, "validation": 15, "test": 30}
+_SET_SIZES = {"train_100": 100, "validation": 15, "test": 30, "confirm": 30}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,6 +18,7 @@ class GoalBox:
         ``train_100``: 100 goals (the paper's number of training tasks).
         ``validation``: 15 other goals, to choose settings on.
         ``test``: 30 other goals, to report on (the paper's number of test tasks).
+        ``confirm``: 30 more, to be looked at once, when nothing is left to choose.
         ``uniform``: a new draw for each episode. Covers every other split.
 
     Attributes:

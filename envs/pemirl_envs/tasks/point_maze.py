@@ -43,6 +43,7 @@ _TASK_SETS = {
     "train_100": (100, 2019_100),
     "validation": (15, 2019_015),
     "test": (30, 2019_030),
+    "confirm": (30, 2026_030),
 }  # number of goals, seed
 
 
@@ -53,7 +54,8 @@ class PointMaze(Task):
         ``train``: 13 goals, x in {0, 0.04, ..., 0.48} (the authors' code).
         ``train_100``: 100 goals drawn once from ``continuous`` (the paper's number of tasks).
         ``validation``: 15 other goals, to choose settings on.
-        ``test``: 30 other goals, to report on; both drawn once from ``continuous``.
+        ``test``: 30 other goals, to report on.
+        ``confirm``: 30 more, to be looked at once; all three drawn once from ``continuous``.
         ``continuous``: x ~ N(mean, 0.05) with the mean one of 0.1, 0.3, 0.5, truncated to [0, 0.6];
         a new draw for each episode.
         ``uniform``: x ~ U(0, 0.6); a new draw for each episode. Covers every other split. The
@@ -74,7 +76,7 @@ class PointMaze(Task):
         {"final_distance_m": final_distance_to_goal(observation_components, "position")}
     )
     planar = True
-    splits = ("train", "train_100", "validation", "test", "continuous", "uniform")
+    splits = ("train", "train_100", "validation", "test", "confirm", "continuous", "uniform")
 
     def __init__(
         self,

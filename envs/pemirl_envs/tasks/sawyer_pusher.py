@@ -23,7 +23,7 @@ from pemirl_envs.simulation import Fields, State
 from pemirl_envs.tasks.base import Parameters, Task
 from pemirl_envs.tasks.goals import GoalBox
 from pemirl_envs.tasks.quantities import Component, Controller, final_distance_to_goal
-from pemirl_envs.tasks.sawyer_pusher_controller import push_around_wall, push_to_goal
+from pemirl_envs.tasks.sawyer_pusher_controller import mirrored, push_around_wall, push_to_goal
 
 _XML = pathlib.Path(__file__).with_suffix(".xml")
 _ARM_JOINTS = 7
@@ -51,6 +51,8 @@ class SawyerPusher(Task):
     Args:
         wall: x in metres of the left end of a wall that runs across the way from there to the
             right, between the mug's start and the goals; ``None``: no wall.
+        mirrored: whether wall and way round it are on the other side: x is then that of its right
+            end, with the sign changed.
     """
 
     horizon = 200
@@ -68,8 +70,8 @@ class SawyerPusher(Task):
     )
     splits = GoalBox.splits
 
-    def __init__(self, wall: float | None = None) -> None:
-        self._wall = wall
+    def __init__(self, wall: float | None = None, *, mirrored: bool = False) -> None:
+        self._wall, self._mirrored = wall, mirrored
         self.parameter_bounds = {"goal": _GOALS.bounds}
 
     @functools.cached_property
@@ -83,10 +85,11 @@ class SawyerPusher(Task):
         spec = mujoco.MjSpec.from_file(str(_XML))
         if self._wall is not None:
             width = _WALL_RIGHT - self._wall
+            middle = self._wall + width / 2
             spec.worldbody.add_geom(
                 name="wall",
                 type=mujoco.mjtGeom.mjGEOM_BOX,
-                pos=[self._wall + width / 2, _WALL_Y, _WALL_HEIGHT / 2],
+                pos=[-middle if self._mirrored else middle, _WALL_Y, _WALL_HEIGHT / 2],
                 size=[width / 2, _WALL_THICKNESS / 2, _WALL_HEIGHT / 2],
                 material="decoration",
             )
@@ -153,7 +156,10 @@ class SawyerPusher(Task):
 
     def scripted_controller(self) -> Controller:
         """Gets behind the mug and pushes it to its goal, around the wall where there is one."""
-        return push_to_goal if self._wall is None else push_around_wall(self._wall, _WALL_Y)
+        if self._wall is None:
+            return push_to_goal
+        around = push_around_wall(self._wall, _WALL_Y)
+        return mirrored(around) if self._mirrored else around
 
 
 def _hand(fields: Fields) -> Tensor:
@@ -167,4 +173,5 @@ def _mug(fields: Fields) -> Tensor:
 VARIANTS: dict[str, Callable[[], Task]] = {
     "normal": SawyerPusher,
     "shift": functools.partial(SawyerPusher, wall=-0.1),
+    "shift_mirrored": functools.partial(SawyerPusher, wall=-0.1, mirrored=True),
 }

@@ -37,6 +37,17 @@ def push_around_wall(left_end: float, y: float) -> Controller:
     return controller
 
 
+def mirrored(controller: Controller) -> Controller:
+    """The same in the mirror at x = 0."""
+
+    def reflected(observation: Tensor, parameters: Parameters) -> Tensor:
+        sign = observation.new_tensor((-1.0, 1.0, 1.0))
+        goal = parameters["goal"] * sign[:2]
+        return sign * controller(observation * sign.repeat(3), {**parameters, "goal": goal})
+
+    return reflected
+
+
 def _push_towards(observation: Tensor, target: Tensor) -> Tensor:
     """Gets behind the mug and pushes it to the target ``[N, 2]``; within the action's bounds."""
     hand, mug = observation[:, :2], observation[:, 3:5]

@@ -123,4 +123,5 @@ def _blade_and_ball(fields: Fields) -> Tensor:
 VARIANTS: dict[str, Callable[[], Task]] = {
     "normal": Sweeper,
     "shift": functools.partial(Sweeper, blade=0.16, damping=3.0),
+    "stiff": functools.partial(Sweeper, blade=0.22, damping=8.0),  # to confirm what "shift" says
 }

@@ -6,10 +6,13 @@
     pemirl reproduce table=ant --list                               # the commands, one a job
     pemirl reproduce table=ant hydra/launcher=submitit_slurm        # hydra-submitit-launcher
     pemirl reproduce table=ant hydra/launcher=ray                   # hydra-ray-launcher
+    pemirl reproduce table=ant confirm=true                         # at the end, once
 
 Each seed has its own demonstrations and its own Meta-IL, which all its rows share. A job writes
 ``results/TABLE/ROW/seedN.json``; the same command does what is missing, and resumes what died.
-``pemirl report --write`` turns the files into pages.
+``pemirl report --write`` turns the files into pages. With ``confirm=true`` the same trained model
+is also measured on tasks, and under a shift, by which nothing was chosen:
+``results/TABLE_confirm/ROW/seedN.json``.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from filelock import FileLock
 from pydantic.dataclasses import dataclass
@@ -32,7 +35,7 @@ from pemirl_lab.measuring.candidates import of_model
 from pemirl_lab.measuring.learned_rewards import ReportConfig, measure_reward
 from pemirl_lab.measuring.scores import Scorer, context_measures, load_test_demonstrations
 from pemirl_lab.results import Result, Score, environment_facts, read
-from pemirl_lab.runs.run_folder import RunFolder, read_curve, read_seconds, say
+from pemirl_lab.runs.run_folder import FREE, RunFolder, read_curve, read_seconds, say
 from pemirl_lab.runs.settings import Settings, variant
 from pemirl_lab.runs.validation import changed_settings
 from pemirl_trl import DemonstrationDataset, PEMIRLModel
@@ -54,6 +57,8 @@ class Own:
         test_split: which unseen tasks.
         measure: under which dynamics each setting is scored.
         measure_reward: whether the reward is measured against the true one over a map.
+        confirm: whether the trained model is measured once more: on the tasks of the split
+            ``confirm``, and under ``confirm_environment`` in place of the test's dynamics.
     """
 
     table: str
@@ -64,21 +69,85 @@ class Own:
     test_split: Literal["test", "validation", "confirm"]
     measure: Mapping[Setting, Sequence[str]]
     measure_reward: bool
+    confirm: bool
 
 
 def run(settings: Settings, own: Own) -> Result | None:
     """One row, one seed: demonstrations, Meta-IL, the method, its policies, their scores."""
-    output = Path(own.results) / f"seed{settings.seed}.json"
-    if settings.seed >= own.seeds or output.exists():
-        told = stored_otherwise(settings, output)
+    if settings.seed >= own.seeds:
+        say(f"{own.row}, seed {settings.seed}: nothing to do")
+        return None
+    parts = [(settings, own), *([confirming(settings, own)] if own.confirm else [])]
+    missing = [part for part in parts if not output(*part).exists()]
+    if not missing:
+        told = stored_otherwise(settings, output(settings, own))
         say(f"{own.row}, seed {settings.seed}: nothing to do{told}")
         return None
-    draw_demonstrations(settings, own)
+    for part in missing:
+        draw_demonstrations(*part)
     meta_il, meta_il_run = shared_meta_il(settings, own)
     folder = RunFolder.of(settings)
     model = meta_train(settings, folder, meta_il)
+    for given, its in missing:
+        where = folder if given is settings else RunFolder.of(given)
+        seconds = read_seconds(meta_il_run) | read_seconds(folder.path)
+        result = measured(given, its, where, model, folder.file("model.safetensors"), seconds)
+        result.write(output(given, its))
+        say(f"{its.row}, seed {given.seed} -> {output(given, its)}")
+    return result
+
+
+def output(settings: Settings, own: Own) -> Path:
+    """Where the result of a seed goes."""
+    return Path(own.results) / f"seed{settings.seed}.json"
+
+
+def confirming(settings: Settings, own: Own) -> tuple[Settings, Own]:
+    """The same run, measured on what nothing was chosen by."""
+    tested, now = settings.test_environment, settings.confirm_environment
+    moved = {
+        setting: [now if name == tested else name for name in names]
+        for setting, names in own.measure.items()
+    }
+    demonstrations = Path(settings.test_demonstrations).with_name("confirm.safetensors")
+    given: dict[str, Any] = {
+        "run_dir": f"{settings.run_dir}/confirm",
+        "test_environment": now,
+        "test_demonstrations": str(demonstrations),
+    }
+    table = f"{Path(own.table).stem}_confirm"
+    results = Path(own.results).parent.with_name(table) / own.row
+    its: dict[str, Any] = {
+        "table": table,
+        "results": str(results),
+        "test_split": "confirm",
+        "measure": moved,
+    }
+    resolved = {**settings.resolved, **given, **its}
+    return replace(settings, **given, resolved=resolved), replace(own, **its)
+
+
+def measured(
+    settings: Settings,
+    own: Own,
+    folder: RunFolder,
+    model: PEMIRLModel,
+    trained: Path,
+    before: Mapping[str, float],
+) -> Result:
+    """Everything that is measured of a trained model.
+
+    Args:
+        settings: of the run.
+        own: say what is measured.
+        folder: where new policies are trained.
+        model: what was trained.
+        trained: its file, which says how long; there is none of Meta-IL's own.
+        before: the seconds that training took, by stage.
+    """
     demonstrations = load_test_demonstrations(settings)
-    scores = measure(settings, own, folder, model, demonstrations)
+    steps = int(read_metadata(trained)["env_steps"]) if trained.exists() else 0
+    scores = measure(settings, own, folder, model, demonstrations, steps)
     reward = context_measures(settings, model)
     if not settings.planar and own.measure.get("reward_adaptation"):
         reward |= behaviour_measures(settings, model)
@@ -89,7 +158,7 @@ def run(settings: Settings, own: Own) -> Result | None:
             )
             reward |= report.summary()
     stages = sorted(file.stem for file in folder.file("curves").glob("*.json"))
-    result = Result(
+    return Result(
         table=Path(own.table).stem,
         row=own.row,
         task=settings.task,
@@ -98,21 +167,17 @@ def run(settings: Settings, own: Own) -> Result | None:
         scores=tuple(scores),
         reward=reward,
         curves={stage: read_curve(folder.path, stage) for stage in stages},
-        seconds={**read_seconds(meta_il_run), **read_seconds(folder.path)},
+        seconds={**before, **read_seconds(folder.path)},
         config=dict(settings.resolved),
         **environment_facts(),
     )
-    result.write(output)
-    say(f"{own.row}, seed {settings.seed} -> {output}")
-    return result
 
 
 def stored_otherwise(settings: Settings, output: Path) -> str:
     """Which settings of a stored result are not those of now; what runs it with them."""
     if not output.exists():
         return ""
-    free = ("threads", "logger", "checkpoint_every")
-    changed = changed_settings(read(output).config, settings.resolved, ignore=free)
+    changed = changed_settings(read(output).config, settings.resolved, ignore=FREE)
     return f"; stored with {', '.join(changed)}: delete {output} to run it anew" if changed else ""
 
 
@@ -122,11 +187,10 @@ def measure(
     folder: RunFolder,
     model: PEMIRLModel,
     demonstrations: DemonstrationDataset,
+    steps: int,
 ) -> list[Score]:
-    """Scores of all settings and dynamics that the row asks for."""
+    """Scores of all settings and dynamics that the row asks for; ``steps`` trained the model."""
     scorer = Scorer(settings, demonstrations)
-    trained = folder.file("model.safetensors")
-    steps = int(read_metadata(trained)["env_steps"]) if trained.exists() else 0
     scores = []
     for setting, environments in own.measure.items():
         for name in environments:

@@ -27,7 +27,7 @@ from pemirl_trl.methods import train
 from pemirl_trl.methods.health_log import HealthLog
 from pemirl_trl.methods.loop import Method, Metrics
 
-FREE = ("threads", "logger", "checkpoint_every")
+FREE = ("threads", "logger", "checkpoint_every", "confirm")
 """Settings that a run may be resumed with other values of: its results do not depend on them."""
 
 

@@ -94,6 +94,7 @@ class Settings:
         evaluation: of policies.
         task: the domain.
         environment, test_environment: dynamics of training, and the changed ones.
+        confirm_environment: other changed ones, by which nothing was chosen.
         demonstrations, test_demonstrations: files.
         demonstrations_per_task: how many of each task stand in a row in the latter; one is used.
         train_split, train_per_task: whose demonstrations are drawn, and how many of each task.
@@ -119,6 +120,7 @@ class Settings:
     task: str
     environment: str
     test_environment: str
+    confirm_environment: str
     demonstrations: str
     test_demonstrations: str
     demonstrations_per_task: Count
@@ -140,7 +142,7 @@ class Settings:
                 f"info_estimator=public_code is for method=pemirl and its extensions; got "
                 f"method={self.method}"
             )
-        for name in ("environment", "test_environment"):
+        for name in ("environment", "test_environment", "confirm_environment"):
             try:
                 pemirl_envs.get_task(getattr(self, name))
             except ValueError as error:

@@ -3,6 +3,7 @@
 from pemirl_trl.data.demonstrations import DemonstrationDataset
 from pemirl_trl.data.doctor import Finding, examine
 from pemirl_trl.data.negatives import NEGATIVE_KEYS, Negatives, gather_steps
+from pemirl_trl.data.pairs import Pairs, pair_by_task
 from pemirl_trl.data.provenance import Provenance
 
 __all__ = [
@@ -10,7 +11,9 @@ __all__ = [
     "DemonstrationDataset",
     "Finding",
     "Negatives",
+    "Pairs",
     "Provenance",
     "examine",
     "gather_steps",
+    "pair_by_task",
 ]

@@ -14,6 +14,7 @@ from pemirl_trl.functional import (
 )
 from pemirl_trl.modules import PEMIRLModel
 from pemirl_trl.modules.family import FAR
+from pemirl_trl.modules.reading import shown_of
 
 ROWS = 2048
 """Steps, spread evenly over a batch, on which r is looked at: enough for shares of a percent."""
@@ -72,7 +73,7 @@ class Diagnostics:
         return {name: float(value) for name, value in metrics.items()}
 
     def _posterior(self, drawn: TensorDictBase) -> dict[str, Tensor]:
-        q = self.model.encoder.get_dist(drawn.select("observation", "action"))
+        q = self.model.encoder.get_dist(shown_of(drawn).select("observation", "action"))
         loc, scale = q.mean, q.stddev
         return {
             "context/kl": kl_to_standard_normal(loc, scale).mean(),

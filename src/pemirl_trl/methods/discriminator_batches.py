@@ -13,6 +13,7 @@ from pemirl_trl.configuration import CHECKED, Count, NonNegative, Share
 from pemirl_trl.data import Negatives
 from pemirl_trl.data.negatives import gather_steps
 from pemirl_trl.modules import PEMIRLModel
+from pemirl_trl.modules.reading import shown_of
 
 NegativeLogProb = Literal["collection", "current"]
 FIELDS = ("observation", ("next", "observation"), "action", "context")
@@ -111,7 +112,7 @@ class DiscriminatorBatches:
         c = self.config
         index = torch.randint(self.demonstrations.batch_size[0], (c.trajectories,))
         encoder = self.model.encoder
-        drawn = self.demonstrations.select(*encoder.in_keys, strict=False)[index]
+        drawn = shown_of(self.demonstrations).select(*encoder.in_keys, strict=False)[index]
         with torch.set_grad_enabled(self.encoder_gradient):
             m = encoder.get_dist(drawn).rsample()  # [n, D]
         horizon = self.demonstrations["action"].shape[1]

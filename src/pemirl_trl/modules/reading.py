@@ -90,6 +90,16 @@ def trajectories_of(data: Any) -> Any:
     return data.trajectories()
 
 
+def shown_of(trajectories: TensorDictBase) -> TensorDictBase:
+    """What q sees in place of each trajectory: its entry ``shown``, or the trajectory itself.
+
+    Another demonstration of the same task, by another body say: then m can hold nothing but what
+    the two have in common.
+    """
+    shown = trajectories.get("shown", None)
+    return trajectories if shown is None else shown
+
+
 def acted_steps(batch: TensorDictBase) -> Tensor | None:
     """The steps ``[N, T]`` of trajectories whose action was somebody's choice; None: all of them.
 

@@ -9,7 +9,7 @@ from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictParams, d
 from tensordict.utils import NestedKey
 
 from pemirl_trl.functional import kl_to_standard_normal
-from pemirl_trl.modules.reading import ENCODER, POLICY, acted_steps, key_of
+from pemirl_trl.modules.reading import ENCODER, POLICY, acted_steps, key_of, shown_of
 from pemirl_trl.objectives.common import KeyedLoss, require_time
 
 
@@ -95,8 +95,12 @@ class MetaILLoss(KeyedLoss):
         observation = self._read(tensordict, "observation")
         action = self._read(tensordict, "action")
         require_time(observation, "MetaILLoss", "observation")
-        inputs = TensorDict({"observation": observation, "action": action}, observation.shape[:1])
-        if (mask := tensordict.get("mask", None)) is not None:
+        shown = shown_of(tensordict)
+        inputs = TensorDict(
+            {key: self._read(shown, key) for key in ("observation", "action")},
+            observation.shape[:1],
+        )
+        if (mask := shown.get("mask", None)) is not None:
             inputs.set("mask", mask)
         with self.encoder_network_params.to_module(
             self.encoder_network, preserve_module_state=False

@@ -2,6 +2,7 @@
 
 from pemirl_trl.transforms.absorbing import AbsorbingState
 from pemirl_trl.transforms.actions import OneHotActions
+from pemirl_trl.transforms.body import TellBody
 from pemirl_trl.transforms.context import InferContext
 from pemirl_trl.transforms.learned_reward import LearnedReward
 from pemirl_trl.transforms.observations import JoinObservations
@@ -14,4 +15,5 @@ __all__ = [
     "LearnedReward",
     "OneHotActions",
     "SampleTasks",
+    "TellBody",
 ]

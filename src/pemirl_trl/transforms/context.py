@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
-from pemirl_trl.modules.reading import ENCODER, read, trajectories_of
+from pemirl_trl.modules.reading import ENCODER, read, shown_of, trajectories_of
 
 Draw = Literal["random", "all"]
 
@@ -143,7 +143,7 @@ class InferContext(Transform):
 
     @torch.no_grad()
     def _infer(self, index: Tensor) -> Tensor:
-        posterior = self.encoder.get_dist(self._demonstrations[index])
+        posterior = self.encoder.get_dist(shown_of(self._demonstrations)[index])
         return posterior.sample() if self.sample else posterior.mean
 
     def _reset(

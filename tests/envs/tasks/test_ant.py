@@ -236,7 +236,7 @@ def test_initial_states_are_distributed_as_the_authors():
     assert 0.9 < quaternion[:, 1:].abs().max() / (0.1 / 0.9) <= 1
 
 
-@pytest.mark.parametrize("split", ["train", "validation", "test"])
+@pytest.mark.parametrize("split", ["train", "validation", "test", "confirm"])
 def test_every_split_is_both_directions(split):
     directions = pemirl_envs.task_parameters("ant/disabled", split)["direction"]
     assert directions.tolist() == [[1.0], [-1.0]]

@@ -6,14 +6,14 @@ import pemirl_envs
 from pemirl_envs.tasks.goals import GoalBox
 
 BOX = GoalBox(low=(-1.0, 2.0), high=(3.0, 2.5), seed=1)
-SIZES = {"train_100": 100, "validation": 15, "test": 30}
+SIZES = {"train_100": 100, "validation": 15, "test": 30, "confirm": 30}
 
 
 def test_fixed_sets_share_no_goal_and_lie_in_the_box():
     sets = [BOX.task_set(split) for split in SIZES]
     assert [len(goals) for goals in sets] == list(SIZES.values())
     every = torch.cat(sets)
-    assert len(every.unique(dim=0)) == 145
+    assert len(every.unique(dim=0)) == 175
     low, high = BOX.bounds
     assert ((every >= low) & (every <= high)).all()
     assert torch.equal(BOX.task_set("test"), BOX.task_set("test"))
@@ -43,10 +43,23 @@ def test_endless_and_unknown_splits_are_refused():
 @pytest.mark.parametrize(
     ("domain", "first"),
     [
-        ("sweeper", [(0.2868173, 0.1380769), (0.0645277, 0.1519749), (0.2675955, 0.0738939)]),
+        (
+            "sweeper",
+            [
+                (0.2868173, 0.1380769),
+                (0.0645277, 0.1519749),
+                (0.2675955, 0.0738939),
+                (-0.1241577, 0.1241629),
+            ],
+        ),
         (
             "sawyer_pusher",
-            [(-0.2366087, 0.7937133), (0.0651631, 0.7838029), (-0.1827403, 0.987972)],
+            [
+                (-0.2366087, 0.7937133),
+                (0.0651631, 0.7838029),
+                (-0.1827403, 0.987972),
+                (0.1692371, 0.8312124),
+            ],
         ),
     ],
 )

@@ -127,19 +127,21 @@ def test_fixed_task_sets():
     train = pemirl_envs.task_parameters("point_maze/right", "train_100")["goal"]
     test = pemirl_envs.task_parameters("point_maze/right", "test")["goal"]
     validation = pemirl_envs.task_parameters("point_maze/right", "validation")["goal"]
-    assert (len(train), len(validation), len(test)) == (100, 15, 30)
+    confirm = pemirl_envs.task_parameters("point_maze/right", "confirm")["goal"]
+    assert (len(train), len(validation), len(test), len(confirm)) == (100, 15, 30, 30)
     # No goal is in two of them.
-    assert len(torch.cat([train, validation, test])[:, 0].unique()) == 145
+    assert len(torch.cat([train, validation, test, confirm])[:, 0].unique()) == 175
     # Demonstrations and published results refer to these goals: they may never change.
     assert test[:3, 0].tolist() == pytest.approx([0.2474077, 0.5082107, 0.5578249])
     assert train[:3, 0].tolist() == pytest.approx([0.4845742, 0.3523841, 0.4748982])
     assert validation[:3, 0].tolist() == pytest.approx([0.4873493, 0.2488809, 0.5499175])
+    assert confirm[:3, 0].tolist() == pytest.approx([0.0590334, 0.4813827, 0.5593777])
     tall = pemirl_envs.task_parameters("point_maze/stochastic", "test")["goal"]
     assert torch.equal(tall[:, 0], test[:, 0])
     assert tall[:, 1].tolist() == pytest.approx([0.9] * 30)
 
 
-@pytest.mark.parametrize("split", ["train", "train_100", "validation", "test"])
+@pytest.mark.parametrize("split", ["train", "train_100", "validation", "test", "confirm"])
 def test_resets_draw_from_the_whole_split(split):
     env = pemirl_envs.make("point_maze/left", 2000, split=split, seed=0)
     drawn = {tuple(goal) for goal in env.reset()["task", "goal"].tolist()}

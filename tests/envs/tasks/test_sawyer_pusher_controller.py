@@ -33,13 +33,14 @@ def test_the_pusher_reaches_every_goal_and_the_mug_stays_upright(straight):
     assert upright.min() > 0.98
 
 
-def test_the_wall_stops_who_pushes_directly_and_can_be_passed(straight):
-    directly, _ = final_state("sawyer_pusher/shift", straight)
-    around, upright = final_state(
-        "sawyer_pusher/shift", pemirl_envs.get_task("sawyer_pusher/shift").scripted_controller()
-    )
+@pytest.mark.parametrize(
+    ("name", "share"), [("sawyer_pusher/shift", 1.0), ("sawyer_pusher/shift_mirrored", 0.9)]
+)
+def test_the_wall_stops_who_pushes_directly_and_can_be_passed(straight, name, share):
+    directly, _ = final_state(name, straight)
+    around, upright = final_state(name, pemirl_envs.get_task(name).scripted_controller())
     assert (directly > 0.05).float().mean() >= 0.4
-    assert around.max() < 0.03
+    assert (around < 0.03).float().mean() >= share
     assert upright.min() > 0.9
 
 
@@ -53,3 +54,15 @@ def test_the_way_around_a_wall_is_the_published_one():
         straight = pemirl_envs.get_task("sawyer_pusher/normal").scripted_controller()
         action = task.scripted_controller()(observation, {"goal": goal})
         assert torch.equal(action, straight(observation, there))
+
+
+def test_the_mirrored_controller_is_the_mirror_image():
+    shift, mirrored = (
+        pemirl_envs.get_task(f"sawyer_pusher/{name}").scripted_controller()
+        for name in ("shift", "shift_mirrored")
+    )
+    sign = torch.tensor([-1.0, 1.0, 1.0])
+    observation = torch.randn(50, 9, generator=torch.Generator().manual_seed(0))
+    goal = torch.randn(50, 2, generator=torch.Generator().manual_seed(1))
+    seen_there = observation * sign.repeat(3), {"goal": goal * sign[:2]}
+    assert torch.equal(mirrored(*seen_there), sign * shift(observation, {"goal": goal}))

@@ -73,6 +73,30 @@ def test_a_row_is_run_once_and_shares_demonstrations_and_meta_il(smoke_row, here
     assert len(list((shared / "meta_il").iterdir())) == 2
 
 
+def test_a_trained_row_is_confirmed_on_other_tasks_and_another_shift(row_settings, here):
+    def row(*overrides):
+        return row_settings(
+            "sweeper", "pemirl", *SMOKE, "confirm_environment=sweeper/normal", *overrides
+        )
+
+    tested = reproduce.run(*row())
+    trained = stamps(here / "runs", "checkpoints/pemirl/**/*")
+    confirmed = reproduce.run(*row("confirm=true"))
+    assert (
+        stamps(here / "runs", "checkpoints/pemirl/**/*") == trained
+    )  # the model is that of before
+    assert read(here / "results/sweeper/pemirl/seed0.json").scores == tested.scores
+    stored = read(here / "results/sweeper_confirm/pemirl/seed0.json")
+    assert stored.scores == confirmed.scores
+    assert (stored.table, stored.row, stored.split) == ("sweeper_confirm", "pemirl", "confirm")
+    assert [(s.setting, s.variant) for s in stored.scores] == [("reward_adaptation", "normal")]
+    steps = {s.env_steps["meta_training"] for r in (tested, confirmed) for s in r.scores}
+    assert len(steps) == 1
+    assert stored.config["test_environment"] == "sweeper/normal"
+    assert stored.config["test_demonstrations"].endswith("confirm.safetensors")
+    assert reproduce.run(*row("confirm=true")) is None
+
+
 def test_a_seed_beyond_the_rows_own_is_not_run(smoke_row, here, capsys):
     assert reproduce.run(*smoke_row("airl", "seed=5")) is None
     assert capsys.readouterr().out == "airl, seed 5: nothing to do\n"

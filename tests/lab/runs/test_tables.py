@@ -34,7 +34,7 @@ ROW_RENAMED = {
 }
 IN_THE_TASK = ("planar", "task_key", "task_space")
 """Facts that are no settings any more: the task itself has them."""
-FREE = ("seed", "seeds", "threads", "logger", "checkpoint_every")
+FREE = ("seed", "seeds", "threads", "logger", "checkpoint_every", "confirm")
 """Of the seed, and of what results do not depend on."""
 UNSEEN_TASKS = {"test": 30, "validation": 15}  # of Point-Maze
 PUBLISHED = sorted(

@@ -1,6 +1,6 @@
 """How many bodies must have demonstrated, before the reward's components can be told from them?
 
-    python examples/ant_bodies/held_out.py 0 1 2
+    python examples/several_bodies/held_out.py 0 1 2
 
 Demonstrations of ants with one to eight bodies, none of them that of ``ant/disabled``. For every
 component of an observation: what it says about the direction by itself in the bodies that it was
@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from families import component_names
 from mirror import MirroredPolicy, X, Y
 from tensordict import TensorDict
 from torch import Tensor
@@ -41,15 +42,6 @@ BODIES = (
     ("disabled_one", (2,), (X,)),
     ("disabled_one", (2,), (Y,)),
 )
-
-
-def component_names() -> list[str]:
-    """One name for each number of an observation."""
-    return [
-        f"{part.name}[{i}]" if part.size > 1 else part.name
-        for part in Ant.observation_components
-        for i in range(part.size)
-    ]
 
 
 @torch.no_grad()
@@ -83,7 +75,7 @@ def demonstrate(seed: int) -> tuple[Tensor, Tensor, Tensor, list[dict[str, Any]]
 def run(seed: int) -> dict[str, Any]:
     """Worst and mean held-out information of each component, after 2, 4 and 8 bodies."""
     observations, directions, bodies, facts = demonstrate(seed)
-    names, families = component_names(), {}
+    names, families = component_names(Ant()), {}
     for count in (2, 4, 8):
         seen = bodies < count
         information = held_out_information(
