@@ -8,8 +8,8 @@ Nobody says which components r may read. Demonstrations come in pairs: of one ta
 from the policy's own attempts in that body. The policy is told the body, r is not, and r reads
 
 - ``whole``: the whole state;
-- ``found``: what tells tasks apart in a body that was left out, m being that of the other one of
-  a pair (:func:`pemirl_trl.evaluation.held_out_information` above 0 in every body).
+- ``found``: what tells tasks apart in a body that was left out, m being what the demonstrations of
+  a task agree on (:func:`pemirl_trl.evaluation.held_out_information` above 0 in every body).
 
 Then, with one demonstration of each unseen task by the first body, a policy is trained on r under
 dynamics that none of the bodies has. Writes
@@ -46,7 +46,13 @@ from pemirl_trl import (
     TellBody,
 )
 from pemirl_trl.data import Pairs, pair_by_task
-from pemirl_trl.evaluation import Actor, held_out_information, linear_probe, whole_episodes
+from pemirl_trl.evaluation import (
+    Actor,
+    agreed_contexts,
+    held_out_information,
+    linear_probe,
+    whole_episodes,
+)
 from pemirl_trl.files import atomic_path
 from pemirl_trl.methods import (
     MetaIL,
@@ -115,6 +121,10 @@ class Experiment:
         rollouts = whole_episodes(env, act, self.task.horizon, sample=True)
         return DemonstrationDataset.from_rollouts(rollouts, Provenance())
 
+    def numbers(self, data: DemonstrationDataset) -> Tensor:
+        """Equal ones for demonstrations of the same task, ``[M]``: all that is said of tasks."""
+        return data.tasks()[self.task.task_key].unique(dim=0, return_inverse=True)[1]
+
     # --- training
 
     def train(self, stage: RunStage, data: DemonstrationDataset, pairs: Pairs) -> PEMIRLModel:
@@ -125,7 +135,7 @@ class Experiment:
         every = list(range(self.changed.observation_size))
         imitation = new_model(data, learning, reward_features=every)
         stage("meta-il", MetaIL(imitation, pairs.trajectories, learning.meta_il))
-        read = self.found(imitation, data, pairs) if self.reads == "found" else every
+        read = self.found(imitation, data) if self.reads == "found" else every
         torch.manual_seed(self.seed)
         model = new_model(data, learning, reward_features=read)
         start_from(model, imitation, learning)
@@ -140,25 +150,22 @@ class Experiment:
         stage("method", build(learning, model, env, pairs.trajectories))
         return model
 
-    @torch.no_grad()
-    def told_of_tasks(self, model: PEMIRLModel, data: DemonstrationDataset, pairs: Pairs) -> Tensor:
-        """What each component tells of the task in a body left out, nats ``[B, S]``."""
-        shown = model.encoder.get_dist(pairs.trajectories["shown"]).mean
-        with torch.enable_grad():
-            return held_out_information(
-                pairs.trajectories["observation"][..., : self.changed.observation_size],
-                shown,
-                data.tasks()["body"].argmax(-1)[pairs.rows],
-                generator=torch.Generator().manual_seed(self.seed),
-            )
-
-    def found(self, model: PEMIRLModel, data: DemonstrationDataset, pairs: Pairs) -> list[int]:
+    def found(self, model: PEMIRLModel, data: DemonstrationDataset) -> list[int]:
         """The components that tell tasks apart in every body, the others having been asked.
 
         Raises:
             ValueError: there is none.
         """
-        worst = self.told_of_tasks(model, data, pairs).min(0).values
+        trajectories, body = data.trajectories(), data.tasks()["body"].argmax(-1)
+        with torch.no_grad():
+            means = model.encoder.get_dist(trajectories).mean
+        information = held_out_information(
+            trajectories["observation"][..., : self.changed.observation_size],
+            agreed_contexts(means, self.numbers(data), body),
+            body,
+            generator=torch.Generator().manual_seed(self.seed),
+        )
+        worst = information.min(0).values
         found = (worst > 0).nonzero().flatten().tolist()
         if not found:
             raise ValueError(
@@ -234,8 +241,7 @@ class Experiment:
         data = self.demonstrate(self.family.split, self.count, each, self.seed)
         tasks, body = data.tasks(), data.tasks()["body"].argmax(-1)
         parameter = tasks[self.task.task_key]
-        _, task_of = parameter.unique(dim=0, return_inverse=True)
-        pairs = pair_by_task(data, task_of, body, seed=self.seed)
+        pairs = pair_by_task(data, self.numbers(data), body, seed=self.seed)
         model = self.train(stage, data, pairs)
         shown = self.demonstrate("test", 1, 1, 1000 + self.seed)
         adapted = self.adapt(stage, model, shown)

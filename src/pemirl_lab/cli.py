@@ -27,6 +27,10 @@ COMMANDS: Mapping[str, str] = {
 
 OTHERS: Mapping[str, tuple[str, str]] = {
     "infer": ("pemirl_lab.measuring.infer", "m and r of one demonstration, and how far off it is"),
+    "find_task_space": (
+        "pemirl_lab.measuring.find_task_space",
+        "what a reward may read, from demonstrations by several bodies",
+    ),
     "export_reward": ("pemirl_lab.measuring.export_reward", "a reward, with its card, to a file"),
     "export_model": ("pemirl_lab.measuring.export_model", "a model, with its card, to a file"),
     "check": ("pemirl_lab.measuring.check", "what is suspicious about a file of demonstrations"),

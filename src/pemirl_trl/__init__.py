@@ -81,7 +81,9 @@ if TYPE_CHECKING:
     from pemirl_trl.methods import (
         Adaptation,
         Inference,
+        TaskSpace,
         adapt,
+        find_task_space,
         infer,
         meta_train,
         wrap_gymnasium,
@@ -128,12 +130,14 @@ __all__ = [
     "Sign",
     "Standardize",
     "TRPOLoss",
+    "TaskSpace",
     "TellBody",
     "TrainingFamily",
     "TrustRegionOptimizer",
     "TrustRegionResult",
     "ValueLoss",
     "adapt",
+    "find_task_space",
     "infer",
     "load_card",
     "load_model",
@@ -148,7 +152,16 @@ __all__ = [
 # composes losses in a trainer of theirs has no need of them.
 _CALLS = {
     **dict.fromkeys(
-        ("Adaptation", "Inference", "adapt", "infer", "meta_train", "wrap_gymnasium"),
+        (
+            "Adaptation",
+            "Inference",
+            "TaskSpace",
+            "adapt",
+            "find_task_space",
+            "infer",
+            "meta_train",
+            "wrap_gymnasium",
+        ),
         "pemirl_trl.methods",
     ),
     **dict.fromkeys(

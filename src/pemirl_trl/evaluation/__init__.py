@@ -44,7 +44,7 @@ from pemirl_trl.evaluation.statistics import (
     spearman,
     t_interval,
 )
-from pemirl_trl.evaluation.task_space import held_out_information
+from pemirl_trl.evaluation.task_space import agreed_contexts, held_out_information
 
 __all__ = [
     "Actor",
@@ -52,6 +52,7 @@ __all__ = [
     "Measure",
     "RewardFunction",
     "RewardReport",
+    "agreed_contexts",
     "argmax_error",
     "canonicalise_epic",
     "canonicalise_feasible",

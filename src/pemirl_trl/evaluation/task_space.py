@@ -38,7 +38,8 @@ def held_out_information(
 
     Args:
         observations: ``[J, T, S]``.
-        contexts: ``[J, D]``, one per demonstration.
+        contexts: ``[J, D]``, one per demonstration; or ``[bodies, J, D]``, those to be used where a
+            body is left out (:func:`agreed_contexts`).
         bodies: ``[J]``, int64: under which dynamics each was made, numbered from 0.
         bins: of a component, over six deviations.
         samples: steps drawn from each demonstration, the same for all components.
@@ -52,12 +53,13 @@ def held_out_information(
         ValueError: shapes that do not fit, or fewer than two bodies.
     """
     count, horizon, _ = observations.shape
-    if contexts.shape[:1] != (count,) or bodies.shape != (count,):
+    folds = int(bodies.max()) + 1 if len(bodies) else 0
+    leading = [tuple(contexts.shape[:-1]), tuple(bodies.shape)]
+    if leading not in ([(count,), (count,)], [(folds, count), (count,)]):
         raise ValueError(
             f"got {count} demonstrations, contexts {list(contexts.shape)} and bodies "
-            f"{list(bodies.shape)}; expected [{count}, D] and [{count}]"
+            f"{list(bodies.shape)}; expected [{count}, D] or [bodies, {count}, D], and [{count}]"
         )
-    folds = int(bodies.max()) + 1
     if folds < 2:
         raise ValueError("got demonstrations of one body; what holds under another needs two")
     times = torch.randint(horizon, (count, samples), generator=generator)
@@ -66,8 +68,8 @@ def held_out_information(
     scaled = (drawn - flat.mean(0)) / flat.std(0).clamp(min=1e-6)
     place = ((scaled + _SPAN) * (bins / (2 * _SPAN))).long().clamp(0, bins - 1)
     indicator = one_hot(place, bins).float().mean(1)  # the share of steps in each bin [J, S, B]
-    own, other = _features(contexts), _features(contexts)
-    other = other[_within(bodies, generator)]
+    own = _features(contexts).expand(folds, -1, -1)  # [F, J, K]
+    other = own[:, _within(bodies, generator)]
     # r of a bin is what counts, and how often it is visited: no need to keep the steps.
     held = one_hot(bodies, folds).T.float()  # [F, J]
     weights = torch.zeros(folds, observations.shape[-1], bins, own.shape[-1], requires_grad=True)
@@ -76,7 +78,7 @@ def held_out_information(
     def losses() -> Tensor:  # [F, J, S]
         total = torch.zeros(())
         for features, sign in ((own, -1.0), (other, 1.0)):
-            reward = torch.einsum("fsbk,jk->fjsb", weights, features)
+            reward = torch.einsum("fsbk,fjk->fjsb", weights, features)
             total = total + 0.5 * (softplus(sign * reward) * indicator).sum(-1)
         return total
 
@@ -91,10 +93,52 @@ def held_out_information(
     return math.log(2) - unseen
 
 
+def agreed_contexts(contexts: Tensor, tasks: Tensor, bodies: Tensor) -> Tensor:
+    """What demonstrations of one task agree on, of their contexts; without the body left out.
+
+    A context also holds what is one demonstration's own, or its body's. Kept are the directions
+    along which contexts differ more between tasks than within one (Fisher's linear discriminants,
+    of a ratio above 1; at least the best one), and of those the mean over the demonstrations of a
+    task by the bodies that are not left out.
+
+    Args:
+        contexts: ``[J, D]``, means of q say.
+        tasks: ``[J]``, equal numbers for the same task.
+        bodies: ``[J]``, int64, numbered from 0.
+
+    Returns:
+        ``[bodies, J, K]``, K <= D: the contexts for where each body is left out.
+
+    Raises:
+        ValueError: a task that one body alone has demonstrated.
+    """
+    _, task = tasks.unique(return_inverse=True)
+    member = one_hot(task).to(contexts)  # [J, C]
+    centred = contexts - contexts.mean(0)
+    means = (member.T @ centred) / member.sum(0).unsqueeze(-1)  # [C, D]
+    within = centred - means[task]
+    # Whitened by the scatter within tasks, what is left of the scatter between them is the ratio.
+    scatter = within.T @ within / len(task)
+    scatter = scatter + 1e-6 * scatter.diagonal().mean().clamp(min=1e-12) * torch.eye(len(scatter))
+    values, axes = torch.linalg.eigh(scatter)
+    whiten = axes / values.sqrt()
+    between = means[task] @ whiten
+    ratios, directions = torch.linalg.eigh(between.T @ between / len(task))
+    kept = ratios > min(1.0, float(ratios[-1]) * 0.999)
+    projected = centred @ whiten @ directions[:, kept]  # [J, K]
+    seen = ~one_hot(bodies).bool().T  # [F, J]: who is not left out
+    weights = torch.einsum("fj,jc->fcj", seen.to(contexts), member)
+    total = weights.sum(-1, keepdim=True)
+    if (total == 0).any():
+        raise ValueError("a task was demonstrated by one body alone; expected two bodies of each")
+    return (weights @ projected / total)[:, task]
+
+
 def _features(contexts: Tensor) -> Tensor:
-    scaled = (contexts - contexts.mean(0)) / contexts.std(0).clamp(min=1e-6)
-    scaled = scaled.detach()
-    return torch.cat([torch.ones(len(scaled), 1), scaled, scaled.square()], -1)
+    """1, m and its squares, ``[..., J, 1 + 2 D]``, in deviations over the demonstrations."""
+    scale = contexts.std(-2, keepdim=True).clamp(min=1e-6)
+    scaled = ((contexts - contexts.mean(-2, keepdim=True)) / scale).detach()
+    return torch.cat([torch.ones_like(scaled[..., :1]), scaled, scaled.square()], -1)
 
 
 def _within(bodies: Tensor, generator: torch.Generator | None) -> Tensor:

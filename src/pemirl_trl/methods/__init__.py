@@ -19,6 +19,7 @@ from pemirl_trl.methods.own_adaptation import Adaptation, adapt, adapt_in_stages
 from pemirl_trl.methods.own_training import meta_train, meta_train_in_stages, training_family
 from pemirl_trl.methods.pemirl import PEMIRL, PEMIRLConfig
 from pemirl_trl.methods.policy_optimization import PolicyOptimization, PolicyOptimizationConfig
+from pemirl_trl.methods.task_space import TaskSpace, find_task_space
 from pemirl_trl.methods.trpo import TRPO, TRPOConfig
 
 __all__ = [
@@ -50,11 +51,13 @@ __all__ = [
     "PolicyOptimization",
     "PolicyOptimizationConfig",
     "TRPOConfig",
+    "TaskSpace",
     "TrainingDiverged",
     "adapt",
     "adapt_in_stages",
     "adaptation_config",
     "build",
+    "find_task_space",
     "infer",
     "initial_policy",
     "meta_train",

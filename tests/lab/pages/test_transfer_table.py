@@ -20,3 +20,30 @@ def test_components_are_ranked_by_their_worst_body_over_seeds(tmp_path):
     assert lines[2:] == [expected]
     with pytest.raises(ValueError, match="holds no results"):
         transfer_parts(tmp_path, ["arms"])
+
+
+def test_policies_are_grouped_by_what_r_reads_and_by_bodies(tmp_path):
+    (tmp_path / "ants").mkdir()
+
+    def write(reads, bodies, seed, gap, read):
+        true = {"adapted": 300 + seed, "carried_over": 10.0, "known": 330.0, "random": -10.0}
+        content = {
+            "reads": reads,
+            "read": read,
+            "bodies": bodies,
+            "gap_closed": gap,
+            "returns": {name: {"true": value} for name, value in true.items()},
+            "contexts": {"task": 0.99} | ({"body": 0.031} if bodies > 1 else {}),
+        }
+        file = tmp_path / f"ants/{reads}_bodies{bodies}_seed{seed}.json"
+        file.write_text(json.dumps(content))
+
+    write("found", 2, 0, 0.9, ["speed"])
+    write("found", 2, 1, 1.0, ["speed", "yaw"])
+    write("whole", 1, 0, 0.0, ["height", "speed", "yaw"])
+    lines = transfer_parts(tmp_path, ["ants"])["ants"].splitlines()
+    expected = "300.0 | 10.0 | 330.0 | -10.0 | 0.99 | – |"
+    assert lines[2] == f"| the whole state | 1 | 1 | 0.000 | {expected}"
+    found = "| found: speed; or speed, yaw | 2 | 2 | 0.950 [0.315, 1.585] | 300.5 |"
+    assert lines[3].startswith(found)
+    assert lines[3].endswith("| 0.99 | 0.03 |")
