@@ -52,7 +52,7 @@ def test_reversed_pushes_defeat_the_controller_and_an_exit_costs_the_rest(exampl
 
 
 def test_the_stored_results_close_most_of_the_gap_and_say_what_is_left():
-    """Nine tenths are the aim, and missed by a hundredth: docs/own_task.md says why."""
+    """Nine tenths are the aim, and missed by a hundredth: docs/proofs.md says why."""
     results = [json.loads(file.read_text("utf-8")) for file in RESULTS]
     assert results
     for result in results:

@@ -118,6 +118,10 @@ def test_from_rollouts_keeps_the_true_last_observation(demos):
     assert_same(DemonstrationDataset.from_rollouts(rollouts_of(demos), PROVENANCE), demos)
 
 
+def test_from_rollouts_need_not_say_where_they_come_from(demos):
+    assert DemonstrationDataset.from_rollouts(rollouts_of(demos)).provenance == Provenance()
+
+
 def test_from_rollouts_names_episodes_that_were_reset_or_changed_task(demos):
     rollouts = rollouts_of(demos)
     rollouts["observation"][4, 2] += 1  # a reset puts another state after step 1

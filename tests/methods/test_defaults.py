@@ -6,6 +6,7 @@ import torch
 from pemirl_trl import DemonstrationDataset, ModelConfig, PEMIRLModel
 from pemirl_trl.methods import (
     METHODS,
+    PRESETS,
     MetaILConfig,
     PolicyOptimizationConfig,
     adaptation_config,
@@ -33,7 +34,7 @@ def test_budgets_are_those_of_point_maze_at_its_horizon():
     config = meta_training_config(data())
     assert (config.contexts_per_batch, config.training.rollouts_per_context) == (50, 8)
     assert config.training.iterations == 50
-    assert config.meta_il.kl_coeff == 0.01
+    assert config.meta_il.kl_coeff == 0.001
     adaptation = adaptation_config(model(), data(30))
     assert (adaptation.rollouts, adaptation.optimization.iterations) == (180, 72)
 
@@ -53,9 +54,9 @@ def test_budgets_are_kept_at_every_horizon_or_the_least_iterations_are_done(hori
     assert adaptation.rollouts >= 4 * count
 
 
-def test_the_weight_of_kl_is_the_evidence_bounds_own_on_long_episodes_alone():
+def test_the_weight_of_kl_is_a_tenth_of_the_evidence_bounds_own():
     weights = [meta_training_config(data(4, horizon)).meta_il.kl_coeff for horizon in (10, 500)]
-    assert weights == [0.03, 0.002]
+    assert weights == [0.01, 0.0002]
 
 
 def test_deviations_are_in_units_of_the_demonstrated_actions():
@@ -65,6 +66,18 @@ def test_deviations_are_in_units_of_the_demonstrated_actions():
     assert ten.optimization.imitate_best == pytest.approx(one.optimization.imitate_best / 100.0)
     config = meta_training_config(data(size=10.0))
     assert (config.model.policy_scale, config.training.policy.final_scale) == (10.0, 3.0)
+
+
+def test_the_robust_reward_does_not_depend_on_the_units_of_actions():
+    batches = {preset: meta_training_config(data(), preset).training.batch for preset in PRESETS}
+    relative = {preset: batch.relative_log_prob for preset, batch in batches.items()}
+    assert relative == {"paper": False, "robust": True, "contrastive": True}
+
+
+def test_demonstrations_of_other_tasks_are_negatives_of_the_robust_reward():
+    batches = {preset: meta_training_config(data(), preset).training.batch for preset in PRESETS}
+    shares = {preset: batch.mismatched_fraction for preset, batch in batches.items()}
+    assert shares == {"paper": 0.0, "robust": 0.25, "contrastive": 0.5}
 
 
 def test_actions_that_are_all_zero_are_refused():
@@ -122,8 +135,10 @@ def test_the_table_shows_what_is_used():
     overrides = {"training": {"iterations": 7}}
     found = found_for_meta_training(data(), "robust", overrides)
     text = table(found, meta_training_config(data(), overrides=overrides))
-    assert "training.iterations            7\n" in text
-    assert "meta_il.kl_coeff               0.01\n" in text
+    lines = [line.split() for line in text.splitlines()]
+    assert ["training.iterations", "7"] in lines
+    assert ["meta_il.kl_coeff", "0.001"] in lines
+    assert ["training.batch.relative_log_prob", "True"] in lines
     assert "rollouts" in table(
         found_for_adaptation(model(), data()), adaptation_config(model(), data())
     )
@@ -144,7 +159,7 @@ def test_one_hot_actions_ask_for_a_categorical_policy_with_shares_for_deviations
     assert (final is None) == (preset != "robust")
     assert final is None or final < config.model.policy_scale
     text = table(found_for_meta_training(choices(), preset), config)
-    assert "model.actions                  discrete\n" in text
+    assert ["model.actions", "discrete"] in [line.split() for line in text.splitlines()]
     one_hot = PEMIRLModel(2, 3, 40, config.model)
     adaptation = adaptation_config(one_hot, choices(10))
     assert 1 > adaptation.policy_scale > adaptation.optimization.final_scale > 0

@@ -1,6 +1,7 @@
 """Adaptation in one call: the start is chosen, the result never worse, doubts are said."""
 
 import copy
+from dataclasses import replace
 
 import pytest
 import torch
@@ -8,7 +9,7 @@ from tensordict import TensorDict
 
 from pemirl_trl import adapt, infer
 from pemirl_trl.evaluation import whole_episodes
-from pemirl_trl.methods import own_adaptation
+from pemirl_trl.methods import AdaptationConfig, objective, own_adaptation
 
 QUICK = {"rollouts": 24, "optimization": {"iterations": 18}}
 
@@ -80,7 +81,9 @@ def test_what_earns_less_than_the_policy_carried_over_is_not_returned(trained, n
 
 def test_policies_are_compared_in_the_same_episodes(trained, new, make_env):
     episodes = own_adaptation.Episodes(make_env, trained, new, 0)
-    training = own_adaptation._Training(trained, new, episodes, lambda *stage: None, 0)
+    training = own_adaptation._Training(
+        *(trained, new, episodes, lambda *stage: None), AdaptationConfig(), 0
+    )
     assert training.learned_return(trained.policy) == training.learned_return(trained.policy)
     state = torch.get_rng_state()
     training.learned_return(trained.policy)
@@ -137,3 +140,24 @@ def test_the_policy_reads_observation_and_context(trained, new, make_env):
     policy = adapt(trained, new, make_env, **few).policy
     batch = TensorDict({"observation": torch.zeros(2, 1), "context": torch.zeros(2, 2)}, [2])
     assert policy(batch)["action"].shape == (2, 1)
+
+
+def test_a_cost_of_actions_makes_a_policy_that_acts_less(trained, new, make_reversed):
+    free, dear = (
+        adapt(trained, new, make_reversed, action_cost=cost, initial_policy="fresh", **QUICK)
+        for cost in (0.0, 100.0)
+    )
+    batch = TensorDict({"observation": torch.zeros(3, 1)}, [3])
+    with torch.no_grad():
+        batch.set("context", torch.stack([infer(trained, new[i]).context for i in range(3)]))
+        effort = [r.policy(batch.copy())["action"].abs().mean() for r in (free, dear)]
+    assert effort[1] < 0.5 * effort[0]
+    assert dear.carried_over_return < free.carried_over_return  # it pays as well
+
+
+def test_the_cost_of_choices_is_refused(trained, new, make_env):
+    model = copy.deepcopy(trained)
+    model.config = replace(model.config, actions="discrete", policy_scale=0.5)
+    env = make_env(2, 0)
+    with pytest.raises(ValueError, match=r"action_cost is 0\.1, and the actions are choices"):
+        objective(model, AdaptationConfig(action_cost=0.1), env)

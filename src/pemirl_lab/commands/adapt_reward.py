@@ -24,6 +24,7 @@ import torch
 from pydantic.dataclasses import dataclass
 from tensordict import NestedKey
 from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import EnvBase
 
 from pemirl_lab.commands.meta_train import check_sizes
 from pemirl_lab.measuring.rollouts import environment, of_demonstrations, true_reward_module
@@ -43,6 +44,7 @@ from pemirl_trl.methods import (
     adapt_in_stages,
     adaptation_config,
     initial_policy,
+    objective,
 )
 from pemirl_trl.methods.defaults import found_for_adaptation, table
 from pemirl_trl.methods.diagnostics import Diagnostics
@@ -150,7 +152,7 @@ def adapt(
     device = "cpu" if true_reward else settings.device
     policy, activation = initial_policy(model.to(device), settings.adaptation)
     policy.to(device)
-    reward, keys, optimization = _objective(settings, model, name, true_reward)
+    reward, keys, optimization = _objective(settings, model, name, env, true_reward)
     diagnostics = None
     if not true_reward:
         diagnostics = Diagnostics(model, demonstrations.trajectories(), rollouts)
@@ -175,12 +177,12 @@ def adapt(
 
 
 def _objective(
-    settings: Settings, model: PEMIRLModel, name: str, true_reward: bool
+    settings: Settings, model: PEMIRLModel, name: str, env: EnvBase, true_reward: bool
 ) -> tuple[TensorDictModuleBase | None, tuple[NestedKey, ...], PolicyOptimizationConfig]:
     """The reward (None: the environment's), what tells tasks apart to it, and the settings."""
     optimization = settings.adaptation.optimization
     if not true_reward:
-        return model.reward, ("context",), optimization
+        return objective(model, settings.adaptation, env), ("context",), optimization
     keys: tuple[NestedKey, ...] = ("context", ("task", settings.task_key))
     if settings.planar:  # known as a function: the oracle's optimiser is the same
         return true_reward_module(name), keys, optimization

@@ -124,7 +124,7 @@ class DemonstrationDataset(DemonstrationSet):
     def from_rollouts(
         cls,
         rollouts: TensorDictBase,
-        provenance: Provenance,
+        provenance: Provenance | None = None,
         task_key: NestedKey | None = "task",
         *,
         discrete_actions: int | None = None,
@@ -165,7 +165,8 @@ class DemonstrationDataset(DemonstrationSet):
             ends, horizon = terminated.tolist(), rollouts.shape[1]
             return cls.from_episodes(pairs, provenance, task, terminated=ends, horizon=horizon)
         observation = narrowed("observation", wide_tensor(observation, "observation"))
-        return cls(observation, narrowed("action", action), provenance, task)
+        whence = provenance or Provenance()
+        return cls(observation, narrowed("action", action), whence, task)
 
     @classmethod
     def from_minari(

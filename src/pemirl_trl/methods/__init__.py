@@ -1,6 +1,6 @@
 """The methods: the one place where the order of updates is decided."""
 
-from pemirl_trl.methods.adaptation import AdaptationConfig, initial_policy
+from pemirl_trl.methods.adaptation import AdaptationConfig, initial_policy, objective
 from pemirl_trl.methods.adversarial import AdaptiveSampler, AdversarialConfig, PolicyConfig
 from pemirl_trl.methods.airl import AIRL, AIRLConfig
 from pemirl_trl.methods.averaging import AveragedReward
@@ -66,6 +66,7 @@ __all__ = [
     "meta_train_in_stages",
     "meta_training_config",
     "new_model",
+    "objective",
     "start_from",
     "train",
     "training_family",

@@ -34,6 +34,13 @@ STEPS_PER_ITERATION = 40_000
 LEAST_ITERATIONS = 50
 """A trust-region method needs its steps, however long the episodes are."""
 
+KL_SHARE = 0.1
+"""Of the evidence bound's own weight of KL(q || N(0, I)), which is 1 / T.
+
+Where a demonstration comes to rest, its states show the task, and imitation needs m for the way
+alone: at the whole weight m stays vague (docs/faq.md has numbers).
+"""
+
 UNIFORM_SHARE, FINAL_UNIFORM_SHARE = 0.3, 0.03
 """Of discrete actions, the share that is drawn uniformly while r takes shape, and at the end."""
 ADAPTATION_SHARES = (0.5, 0.02)
@@ -112,8 +119,11 @@ def found_for_meta_training(
         final = 0.3 * scale if kind == "continuous" else FINAL_UNIFORM_SHARE
         training["policy"] = {"final_scale": final}
     if preset == "robust":
-        # As Meta-IL made them, contexts stay what r was learned for.
+        # As Meta-IL made them, contexts stay what r was learned for. The level of log pi depends on
+        # the units of actions and moves as the deviation shrinks: r need not chase it. What other
+        # tasks' demonstrations do under this context says where this task's goal ends.
         training |= {"info_coeff": 0.0, "encoder_lr": 0.0}
+        training["batch"] |= {"relative_log_prob": True, "mismatched_fraction": 0.25}
     model: dict[str, Any] = {"policy_scale": scale}
     if kind != "continuous":
         model["actions"] = kind
@@ -125,9 +135,7 @@ def found_for_meta_training(
         "model": model,
         **({} if kind == "continuous" else {"learn_policy_scale": False}),
         "meta_il": {
-            # The evidence bound's own is 1 / T. On short episodes that is so much that m says
-            # nothing for the first thousand steps; a smaller one was never seen to harm.
-            "kl_coeff": min(0.03, 1.0 / horizon),
+            "kl_coeff": KL_SHARE / horizon,
             "batch_size": min(64, count),
         },
         "contexts_per_batch": contexts,

@@ -15,7 +15,7 @@ from tensordict import TensorDictBase
 from pemirl_trl.configuration import present_device
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.evaluation import whole_episodes
-from pemirl_trl.methods.adaptation import AdaptationConfig, initial_policy
+from pemirl_trl.methods.adaptation import AdaptationConfig, initial_policy, objective
 from pemirl_trl.methods.defaults import adaptation_config, found_for_adaptation, table
 from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.environments import Episodes, MakeEnv
@@ -165,7 +165,9 @@ def adapt_in_stages(
     """
     demonstrations = check_demonstrations(model, demonstrations)
     episodes = Episodes(make_env, model, demonstrations, seed, observation_keys=observation_keys)
-    train = _Training(model, demonstrations, episodes, run_stage, seed, present_device(device))
+    train = _Training(
+        model, demonstrations, episodes, run_stage, config, seed, present_device(device)
+    )
     carried = model.trained_policy(config.policy_scale)
     carried_return = train.learned_return(carried)
     tries: dict[str, float] = {}
@@ -213,11 +215,12 @@ class _Training:
         demonstrations: DemonstrationDataset,
         episodes: Episodes,
         run_stage: RunStage,
+        config: AdaptationConfig,
         seed: int,
         device: str = "cpu",
     ) -> None:
-        self.model, self.demonstrations = model, demonstrations
-        self.seed, self._device = seed, device
+        self.model, self.demonstrations, self.seed = model, demonstrations, seed
+        self._config, self._device = config, device
         self.env_steps = 0
         self.history: dict[str, list[Metrics]] = {}
         self._run_stage = run_stage
@@ -237,7 +240,7 @@ class _Training:
             self.model.horizon,
             config.optimization,
             rollouts_per_context=rollouts,
-            reward=self.model.reward,
+            reward=objective(self.model, config, env),
             diagnostics=Diagnostics(self.model, self.demonstrations.trajectories(), rollouts),
         )
         method = _Recorded(optimization)
@@ -250,12 +253,10 @@ class _Training:
         return policy, activation
 
     def learned_return(self, policy: Policy) -> float:
-        """What a policy's mean action earns under r, in the episodes that are common to all."""
-        rollouts = self._rollouts(policy)
-        with torch.no_grad():
-            reward = self.model.reward.reward(rollouts["observation"], rollouts["context"])
-        return float(reward.sum(1).mean())
+        """What a policy's mean action earns, in the episodes that are common to all."""
+        return float(self._rollouts(policy)["learned_reward"].sum(1).mean())
 
+    @torch.no_grad()
     def _rollouts(self, policy: Policy) -> TensorDictBase:
         count = len(self.demonstrations)
         each = max(4, JUDGED_EPISODES // count)
@@ -264,6 +265,7 @@ class _Training:
             torch.manual_seed(seed)
             env = self._episodes(count * each, seed, self._infer(each))
             rollouts = whole_episodes(env, policy, self.model.horizon)
+            objective(self.model, self._config, env)(rollouts)
             env.close(raise_if_closed=False)  # a collector may have closed it
         return rollouts
 

@@ -1,5 +1,6 @@
 """Networks of PEMIRL as TensorDict modules."""
 
+from pemirl_trl.modules.action_cost import ActionCost
 from pemirl_trl.modules.actors import ContextPolicy, ContextValue
 from pemirl_trl.modules.attention_encoder import AttentionContextEncoder
 from pemirl_trl.modules.categorical import CategoricalPolicy
@@ -13,6 +14,7 @@ from pemirl_trl.modules.standardize import Standardize
 
 __all__ = [
     "AIRLDiscriminator",
+    "ActionCost",
     "AttentionContextEncoder",
     "CategoricalPolicy",
     "ContextEncoder",
