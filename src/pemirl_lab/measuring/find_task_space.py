@@ -19,12 +19,14 @@ from typing import Any
 import torch
 from pydantic.dataclasses import dataclass
 from torch import Tensor
+from tqdm import tqdm
 
 from pemirl_lab.runs.own_task import parse_words
 from pemirl_lab.runs.places import data_file
 from pemirl_lab.runs.run_folder import say
 from pemirl_trl import DemonstrationDataset, TaskSpace, find_task_space
 from pemirl_trl.configuration import CHECKED, SeedNumber
+from pemirl_trl.methods.loop import Metrics
 
 _SHOWN = 10  # components, from the best
 
@@ -53,7 +55,19 @@ def main(arguments: Sequence[str]) -> None:
     try:
         words = parse_words(arguments, Words, rest=True)
         bodies = [DemonstrationDataset.load(data_file(name)) for name in words.demonstrations]
-        found = find_task_space(bodies, tasks_of(bodies), settings=words.settings, seed=words.seed)
+        with tqdm(desc="meta-il", unit="it", file=sys.stderr) as bar:
+
+            def show(stage: str, iteration: int, metrics: Metrics) -> None:
+                bar.set_postfix_str(f"loss {metrics['meta_il/loss_imitation']:.3f}")
+                bar.update()
+
+            found = find_task_space(
+                bodies,
+                tasks_of(bodies),
+                settings=words.settings,
+                seed=words.seed,
+                on_iteration=show,
+            )
     except (FileNotFoundError, ValueError) as error:
         sys.exit(f"pemirl find_task_space: {error}")
     say(table(found))
