@@ -9,6 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from pemirl_trl import modules
 from pemirl_trl.modules import (
+    ActionCost,
     AIRLDiscriminator,
     AttentionContextEncoder,
     CategoricalPolicy,
@@ -80,8 +81,8 @@ def build(name):
 def test_the_table_lists_every_module():
     exported = {getattr(modules, name) for name in modules.__all__}
     networks = {c for c in exported if issubclass(c, TensorDictModuleBase)}
-    # NoContext has no weights, and nothing to map: see test_context_encoder.py.
-    assert networks == {type(build(name)) for name in BUILD} | {NoContext}
+    # These have no weights and nothing to map: see test_context_encoder.py and test_action_cost.py.
+    assert networks == {type(build(name)) for name in BUILD} | {NoContext, ActionCost}
 
 
 @each_module
