@@ -5,7 +5,9 @@ import tomllib
 
 import pytest
 
+from pemirl_lab.measuring.experts import load_expert
 from pemirl_lab.runs import places
+from pemirl_trl import DemonstrationDataset
 
 
 @pytest.fixture
@@ -37,9 +39,13 @@ def test_a_file_that_is_nowhere_names_the_places(repository):
         places.data_file("/no.st")
 
 
-def test_a_folder_is_no_file(repository):
-    with pytest.raises(FileNotFoundError, match="no file data"):
-        places.data_file("data")
+def test_a_folder_may_hold_demonstrations_or_be_none_of_these(repository):
+    """LeRobot's data sets are folders; whoever reads one says what is wrong with it."""
+    folder = places.data_file("data")
+    with pytest.raises(ValueError, match="is a folder with"):
+        DemonstrationDataset.load(folder)
+    with pytest.raises(ValueError, match="is a directory; expected a regular file"):
+        load_expert("data")
 
 
 def test_home_is_expanded(repository, monkeypatch):

@@ -83,7 +83,9 @@ def test_what_does_not_go_together_is_refused(settings, overrides, message):
 def test_an_expert_that_the_task_does_not_name_is_refused(settings):
     given, _ = settings("meta_train", "task=ant")
     assert given.expert_file("ant/disabled") == "data/ant_disabled_expert.safetensors"
-    message = r"task=ant names no expert of ant/normal_rk4; .*\['disabled', 'normal'\]: add \+exp"
+    message = (
+        r"task=ant names no expert of ant/normal_rk4; .*'disabled_left', 'normal'\]: add \+exp"
+    )
     with pytest.raises(ValueError, match=message):
         given.expert_file("ant/normal_rk4")
     added, _ = settings("meta_train", "task=ant", "+experts.normal_rk4=mine.safetensors")
