@@ -326,8 +326,8 @@ class MaskedContextEncoder(GaussianContext):
     Args:
         observation_dim, action_dim, context_dim: S, A and D.
         hidden: widths of the network of a step; the last one is that of the average too.
-        activation, standardize, scale_depends_on_input, initial_scale, context_key,
-            reads_actions: as in :class:`ContextEncoder`.
+        activation, standardize, initial_scale: as in :class:`ContextEncoder`.
+        scale_depends_on_input, context_key, reads_actions: as there.
         mask_key: where the mask stands.
 
     Raises:
