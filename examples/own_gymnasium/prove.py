@@ -28,11 +28,11 @@ from torch import nn
 from torchrl.envs import Transform, TransformedEnv
 
 from pemirl_lab.commands.adapt_reward import load_adapted
+from pemirl_lab.measuring.own_proofs import EPISODES, of_contexts
 from pemirl_lab.results import environment_facts
 from pemirl_trl import (
     ContextPolicy,
     DemonstrationDataset,
-    InferContext,
     PEMIRLModel,
     Provenance,
     SampleTasks,
@@ -44,7 +44,6 @@ from pemirl_trl.modules import Standardize
 from pemirl_trl.pretrained import load_model
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
-EPISODES = 10  # of each unseen task, for the report
 NEW = 10  # unseen tasks, with one demonstration each
 
 
@@ -80,14 +79,7 @@ class Proof:
         adapted, _ = load_adapted(self.folder / "adapted" / "policy.safetensors", model)
         oracle = self.timed("rl_with_true_reward", lambda: self.oracle(model, new))
         known = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=EPISODES)
-        inferred = InferContext(
-            model.encoder,
-            new,
-            rollouts_per_context=EPISODES,
-            draw="all",
-            sample=False,
-            tasks=new.tasks(),
-        )
+        inferred = of_contexts(model, new)
         scores = {
             "expert": self.score(known, after),
             "random": self.score(known, None),

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from pemirl_trl.evaluation import held_out_information
+from pemirl_trl.evaluation import agreed_contexts, held_out_information
 
 BODIES, EACH, HORIZON = 4, 200, 10
 # m is a coin; the partner's m is the same or the other one with probability 1/2. Where a component
@@ -54,3 +54,27 @@ def test_bounds_and_bad_input():
         held_out_information(observations, contexts, torch.zeros_like(bodies))
     with pytest.raises(ValueError, match=r"contexts \[799, 1\]"):
         held_out_information(observations, contexts[1:], bodies)
+
+
+def test_what_demonstrations_of_a_task_agree_on():
+    """Of m = (task, body, chance) the first axis is kept, with the mean of the bodies that stay."""
+    generator = torch.Generator().manual_seed(0)
+    task, body = torch.arange(40) % 4, torch.arange(40) // 4 % 2
+    values = torch.tensor([-3.0, -1.0, 1.0, 3.0])
+    own = values[task] + 0.01 * torch.randn(40, generator=generator)
+    chance = torch.randn(40, generator=generator)
+    contexts = torch.stack([own, 5.0 * body, chance], -1)
+    agreed = agreed_contexts(contexts, task, body)
+    assert agreed.shape == (2, 40, 1)
+    for left_out in range(2):
+        stays = body != left_out
+        means = torch.stack([own[stays & (task == i)].mean() for i in range(4)])
+        found = agreed[left_out, :, 0]
+        assert torch.equal(found[:4].repeat(10), found)  # one value for a task, whichever body
+        correlation = torch.corrcoef(torch.stack([found, means[task]]))[0, 1]
+        assert correlation.abs() > 0.9999
+
+
+def test_a_task_of_one_body_leaves_nothing_to_agree_on():
+    with pytest.raises(ValueError, match="demonstrated by one body alone"):
+        agreed_contexts(torch.randn(4, 2), torch.tensor([0, 0, 1, 1]), torch.tensor([0, 1, 0, 0]))

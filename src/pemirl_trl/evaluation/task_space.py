@@ -52,7 +52,7 @@ def held_out_information(
     Raises:
         ValueError: shapes that do not fit, or fewer than two bodies.
     """
-    count, horizon, _ = observations.shape
+    count, horizon = observations.shape[:2]
     folds = int(bodies.max()) + 1 if len(bodies) else 0
     leading = [tuple(contexts.shape[:-1]), tuple(bodies.shape)]
     if leading not in ([(count,), (count,)], [(folds, count), (count,)]):
@@ -63,11 +63,7 @@ def held_out_information(
     if folds < 2:
         raise ValueError("got demonstrations of one body; what holds under another needs two")
     times = torch.randint(horizon, (count, samples), generator=generator)
-    drawn = observations.detach()[torch.arange(count).unsqueeze(-1), times]  # [J, n, S]
-    flat = drawn.flatten(0, 1)
-    scaled = (drawn - flat.mean(0)) / flat.std(0).clamp(min=1e-6)
-    place = ((scaled + _SPAN) * (bins / (2 * _SPAN))).long().clamp(0, bins - 1)
-    indicator = one_hot(place, bins).float().mean(1)  # the share of steps in each bin [J, S, B]
+    indicator = _visits(observations.detach()[torch.arange(count).unsqueeze(-1), times], bins)
     own = _features(contexts).expand(folds, -1, -1)  # [F, J, K]
     other = own[:, _within(bodies, generator)]
     # r of a bin is what counts, and how often it is visited: no need to keep the steps.
@@ -132,6 +128,14 @@ def agreed_contexts(contexts: Tensor, tasks: Tensor, bodies: Tensor) -> Tensor:
     if (total == 0).any():
         raise ValueError("a task was demonstrated by one body alone; expected two bodies of each")
     return (weights @ projected / total)[:, task]
+
+
+def _visits(drawn: Tensor, bins: int) -> Tensor:
+    """The share of steps ``[J, n, S]`` in each bin of each component, ``[J, S, bins]``."""
+    flat = drawn.flatten(0, 1)
+    scaled = (drawn - flat.mean(0)) / flat.std(0).clamp(min=1e-6)
+    place = ((scaled + _SPAN) * (bins / (2 * _SPAN))).long().clamp(0, bins - 1)
+    return one_hot(place, bins).float().mean(1)
 
 
 def _features(contexts: Tensor) -> Tensor:
