@@ -29,6 +29,12 @@ def register_library() -> None:
     for name, method in METHODS.items():
         node = {"method": name, **asdict(method)}
         store.store(group="method", name=name, node=node, package="_global_")
+    OmegaConf.register_new_resolver("runs", folder_of_runs, replace=True)
+
+
+def folder_of_runs(preset: str) -> str:
+    """Where runs lie: ``${runs:${preset}}``. A preset has a folder of its own, for its runs are other runs."""
+    return "runs" if preset == "full" else f"runs/{preset}"
 
 
 def compose(command: str, overrides: Sequence[str] = (), *, hydra: bool = False) -> DictConfig:

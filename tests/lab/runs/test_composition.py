@@ -50,6 +50,14 @@ def test_later_wins():
     assert compose("meta_train", ["seed=1", "seed=2"]).seed == 2
 
 
+def test_a_smoke_run_is_not_in_the_way_of_the_real_one():
+    def folder(*overrides):
+        return compose("quickstart", overrides).run_dir
+
+    assert folder("preset=smoke") == folder().replace("runs/", "runs/smoke/", 1)
+    assert compose("adapt_reward", ["preset=smoke"]).model_file.startswith("runs/smoke/meta_train/")
+
+
 def test_a_method_may_have_settings_of_its_own_for_a_task():
     ant, sweeper, robust = (
         compose("meta_train", overrides)
