@@ -124,4 +124,8 @@ VARIANTS: dict[str, Callable[[], Task]] = {
     "normal": Sweeper,
     "shift": functools.partial(Sweeper, blade=0.16, damping=3.0),
     "stiff": functools.partial(Sweeper, blade=0.22, damping=8.0),  # to confirm what "shift" says
+    # Bodies to learn from: neither of the two above.
+    "wide": functools.partial(Sweeper, blade=0.42, damping=2.0),
+    "narrow": functools.partial(Sweeper, blade=0.24, damping=5.0),
+    "limp": functools.partial(Sweeper, blade=0.36, damping=0.5),
 }
