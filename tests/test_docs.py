@@ -186,4 +186,4 @@ def test_the_script_for_a_task_from_outside_trains_on_it(tmp_path):
         [sys.executable, "lab.py", *words], cwd=tmp_path, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "runs/meta_train/cart/pemirl_robust/seed0/model.safetensors").exists()
+    assert (tmp_path / "runs/smoke/meta_train/cart/pemirl_robust/seed0/model.safetensors").exists()

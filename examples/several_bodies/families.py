@@ -13,7 +13,9 @@ from torch import Tensor
 from pemirl_envs import Controller, Parameters, SeveralBodies, Task, get_task
 from pemirl_envs.tasks.ant import Ant
 from pemirl_envs.tasks.sawyer_pusher import SawyerPusher
+from pemirl_envs.tasks.sweeper import Sweeper
 from pemirl_lab.measuring.experts import load_expert
+from pemirl_trl import ContextPolicy
 
 
 @dataclass(frozen=True)
@@ -124,14 +126,21 @@ def _ant(expert: str, legs: tuple[int, ...] = (), mirrors: tuple[Mirror, ...] = 
     """An ant and an expert of it; with mirrors, of its mirror image."""
     for mirror in mirrors:
         legs = mirror.disabled(legs)
-    return Body(Ant(disabled=legs), lambda: _expert(expert, mirrors))
+    return Body(
+        Ant(disabled=legs),
+        lambda: _acting(MirroredPolicy(_expert(f"ant_{expert}"), mirrors), "direction"),
+    )
 
 
-def _expert(name: str, mirrors: Sequence[Mirror] = ()) -> Controller:
-    policy = MirroredPolicy(load_expert(f"data/ant_{name}_expert.safetensors"), mirrors)
+def _expert(name: str) -> ContextPolicy:
+    return load_expert(f"data/{name}_expert.safetensors")
+
+
+def _acting(policy: Callable[[TensorDict], TensorDict], key: str) -> Controller:
+    """A policy that reads one parameter of its task, as a controller."""
 
     def act(observation: Tensor, parameters: Parameters) -> Tensor:
-        task = {"direction": parameters["direction"]}
+        task = {key: parameters[key]}
         batch = observation.shape[:-1]
         return policy(TensorDict({"observation": observation, "task": task}, batch))["action"]
 
@@ -152,9 +161,37 @@ ANT = Family(
     ),
     several=SeveralAnts,
     changed="ant/disabled",
-    known=lambda: _expert("disabled"),
+    known=lambda: _acting(_expert("ant_disabled"), "direction"),
     demonstrations=64,
     split="train",
 )
 
-FAMILIES = {"sawyer_pusher": SAWYER, "ant": ANT}
+
+# --- Sweeper: other blades, other joints --------------------------------------------------------
+
+
+class SeveralSweepers(SeveralBodies, Sweeper):
+    """Sweeper, its blade and its joints' damping other ones from episode to episode."""
+
+    def __init__(self, bodies: Sequence[Task]) -> None:
+        Sweeper.__init__(self)
+        self.use_bodies(bodies)
+
+
+def _sweeper(variant: str) -> Body:
+    return Body(
+        get_task(f"sweeper/{variant}"), lambda: _acting(_expert(f"sweeper_{variant}"), "goal")
+    )
+
+
+SWEEPER = Family(
+    task="sweeper",
+    bodies=tuple(_sweeper(variant) for variant in ("normal", "wide", "narrow", "limp")),
+    several=SeveralSweepers,
+    changed="sweeper/shift",
+    known=lambda: _acting(_expert("sweeper_shift"), "goal"),
+    demonstrations=4,
+    split="train_100",
+)
+
+FAMILIES = {"sawyer_pusher": SAWYER, "ant": ANT, "sweeper": SWEEPER}

@@ -52,7 +52,7 @@ def cart():
 
 def test_every_command_knows_it(cart, command, here):
     given = ["--config-dir", str(CONF), "task=cart", "preset=smoke", "logger=null", "threads=1"]
-    model = "runs/meta_train/cart/pemirl_contrastive/seed0"
+    model = "runs/smoke/meta_train/cart/pemirl_contrastive/seed0"
     for variant in ("light", "heavy"):
         command("train_expert", [*given, f"environment=cart/{variant}"])
         facts = read_metadata(f"{variant}.safetensors")
@@ -65,7 +65,7 @@ def test_every_command_knows_it(cart, command, here):
     command("evaluate", learned)
     assert (here / model / "model.safetensors").exists()
     result = read(
-        here / "runs/evaluate/cart/pemirl_contrastive/seed0/results/pemirl_contrastive.json"
+        here / "runs/smoke/evaluate/cart/pemirl_contrastive/seed0/results/pemirl_contrastive.json"
     )
     assert result.task == "cart"
     assert {(s.setting, s.variant) for s in result.scores} == {

@@ -59,6 +59,7 @@ class Own:
         measure_reward: whether the reward is measured against the true one over a map.
         confirm: whether the trained model is measured once more: on the tasks of the split
             ``confirm``, and under ``confirm_environment`` in place of the test's dynamics.
+        demonstrators: files of the experts that demonstrate, by turns; None: the environment's.
     """
 
     table: str
@@ -70,6 +71,7 @@ class Own:
     measure: Mapping[Setting, Sequence[str]]
     measure_reward: bool
     confirm: bool
+    demonstrators: list[str] | None = None
 
 
 def run(settings: Settings, own: Own) -> Result | None:
@@ -220,7 +222,9 @@ def draw_demonstrations(settings: Settings, own: Own) -> None:
         Path(output).parent.mkdir(parents=True, exist_ok=True)
         with FileLock(f"{output}.lock"):
             if not Path(output).exists():
-                chosen = collect_demos.Own(split=split, per_task=per_task, output=output)
+                chosen = collect_demos.Own(
+                    split=split, per_task=per_task, output=output, expert=own.demonstrators
+                )
                 collect_demos.run(settings, chosen)
 
 

@@ -33,7 +33,7 @@ def register_library() -> None:
 
 
 def folder_of_runs(preset: str) -> str:
-    """Where runs lie: ``${runs:${preset}}``. A preset has a folder of its own, for its runs are other runs."""
+    """Where runs lie: ``${runs:${preset}}``. Those of a preset have a folder of their own."""
     return "runs" if preset == "full" else f"runs/{preset}"
 
 

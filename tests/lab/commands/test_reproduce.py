@@ -53,7 +53,7 @@ def test_a_row_is_run_once_and_shares_demonstrations_and_meta_il(smoke_row, here
     assert stamps(here, "*") == everything
 
     # Another row of this seed: the same demonstrations, and the same Meta-IL, trained once.
-    shared = here / "runs/reproduce/shared"
+    shared = here / "runs/smoke/reproduce/shared"
     demonstrations = stamps(shared / "demonstrations", "*.safetensors")
     assert {file.name for file in demonstrations} == {"train.safetensors", "test.safetensors"}
     trained = stamps(shared / "meta_il", "checkpoints/**/*")
