@@ -1,11 +1,13 @@
 """What a task's experts reach, and the training expert where the dynamics have changed.
 
     pemirl measure_experts task=ant
+    pemirl measure_experts task=ant rescale=[disabled]      # that expert is a new one
 
 Two rows of the task's table, ``results/TASK/expert`` and ``results/TASK/expert_carried_over``: true
 returns of the mean action over the test tasks, and what a person would look at (the task's
 ``outcomes``). Two more, ``scripted`` and ``scripted_carried_over``, where the task has controllers
-by hand.
+by hand. Where an expert has been replaced, ``rescale`` names its dynamics: what is stored in the
+task's tables is then normalised by the new one. The returns stay as they were.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from torch import Tensor
 
 import pemirl_envs
 from pemirl_lab.measuring.experts import load_expert
+from pemirl_lab.measuring.rescale import rescale
 from pemirl_lab.measuring.rollouts import evaluation_episodes, of_tasks
 from pemirl_lab.pages.tables import returns_table
 from pemirl_lab.results import Result, Score, environment_facts
@@ -34,10 +37,14 @@ from pemirl_trl.files import read_metadata
 
 @dataclass(frozen=True, config=CHECKED)
 class Own:
-    """What this command has of its own: where results go, and the table they belong to."""
+    """What this command has of its own: where results go, and the table they belong to.
+
+    ``rescale``: dynamics whose expert is a new one; stored results are normalised by it.
+    """
 
     results: str
     table_name: str
+    rescale: list[str]
 
 
 class Measurement(NamedTuple):
@@ -78,6 +85,9 @@ def run(settings: Settings, own: Own) -> list[Result]:
     results = [_result(settings, own, row, rows[row], measured[row], scales) for row in rows]
     for result in results:
         result.write(Path(own.results) / result.row / "seed0.json")
+    tables = [Path(own.results), Path(f"{own.results}_confirm")]
+    for folder, count in rescale(settings, tables, own.rescale).items():
+        say(f"{folder}: {count} results normalised by the present experts")
     say(returns_table(results))
     for result in results:
         for outcome, value in result.reward.items():
