@@ -33,6 +33,7 @@ from pemirl_lab.pages.figures import save_figure
 from pemirl_lab.pages.gap import gap_table
 from pemirl_lab.pages.health_tables import health_parts
 from pemirl_lab.pages.own_tasks import own_task_parts
+from pemirl_lab.pages.rounding import rounding_parts
 from pemirl_lab.pages.tables import (
     Column,
     by_seed,
@@ -143,6 +144,16 @@ KINDS: Mapping[str, Callable[..., str | Drawing | None]] = {
 where there are no results. A figure's options have its ``file`` besides."""
 
 
+SECTIONS: Mapping[str, Callable[[Path, list[str]], dict[str, str]]] = {
+    "benchmarks": lambda results, names: benchmark_parts(results / "benchmarks", names),
+    "own_tasks": lambda results, names: own_task_parts(results / "own_tasks", names),
+    "transfer": lambda results, names: transfer_parts(results / "transfer", names),
+    "health": lambda results, names: health_parts(results / "health", names),
+    "rounding": rounding_parts,
+}
+"""Sections of ``docs/pages.yaml`` beside ``pages``: parts by name, of files of other kinds."""
+
+
 # --- pages -------------------------------------------------------------------------------------
 
 
@@ -162,14 +173,9 @@ def generate(root: Path) -> Pages:
                 pages.parts[page][part] = _part(items, tables, labels, page, pages.figures)
             except (ValueError, TypeError) as error:
                 raise ValueError(f"{page}, part {part!r}: {error}") from error
-    for page, names in values.get("benchmarks", {}).items():
-        pages.parts.setdefault(page, {}).update(benchmark_parts(root / "results/benchmarks", names))
-    for page, names in values.get("own_tasks", {}).items():
-        pages.parts.setdefault(page, {}).update(own_task_parts(root / "results/own_tasks", names))
-    for page, names in values.get("transfer", {}).items():
-        pages.parts.setdefault(page, {}).update(transfer_parts(root / "results/transfer", names))
-    for page, names in values.get("health", {}).items():
-        pages.parts.setdefault(page, {}).update(health_parts(root / "results/health", names))
+    for section, parts_of in SECTIONS.items():
+        for page, names in values.get(section, {}).items():
+            pages.parts.setdefault(page, {}).update(parts_of(root / "results", names))
     return pages
 
 
