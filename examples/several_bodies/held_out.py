@@ -95,7 +95,7 @@ def run(seed: int) -> dict[str, Any]:
 
 def main() -> None:
     """A result for each seed of the command line."""
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    logging.basicConfig(level=logging.INFO, format="%(message)s", force=True)
     torch.set_num_threads(1)
     for seed in map(int, sys.argv[1:] or ["0"]):
         result = run(seed)

@@ -296,7 +296,7 @@ def report(stage: str, iteration: int, metrics: Any) -> None:
 
 def main() -> None:
     """A result for each number of bodies and seed of the command line."""
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    logging.basicConfig(level=logging.INFO, format="%(message)s", force=True)
     torch.set_num_threads(1)
     name, chosen, counts, *words = sys.argv[1:]
     if name not in FAMILIES or chosen not in get_args(Reads):
