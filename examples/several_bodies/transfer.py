@@ -23,6 +23,7 @@ import dataclasses
 import json
 import logging
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -259,8 +260,7 @@ class Experiment:
             "read": [names[i] for i in model.config.reward_features or ()],
             "bodies": self.count,
             "seed": self.seed,
-            "gap_closed": (true["adapted"] - true["carried_over"])
-            / (true["known"] - true["carried_over"]),
+            "gap_closed": gap_closed(true),
             "returns": returns,
             "contexts": self.probe(model, data, parameter),
             "demonstrations": len(data),
@@ -292,6 +292,11 @@ def report(stage: str, iteration: int, metrics: Any) -> None:
     if iteration % 20 == 0:
         told = ("return/true", "return/learned", "meta_il/loss_imitation")
         logging.info("%s %d %s", stage, iteration, {k: metrics[k] for k in told if k in metrics})
+
+
+def gap_closed(true: Mapping[str, float]) -> float:
+    """0 is the policy carried over, 1 the best that is known."""
+    return (true["adapted"] - true["carried_over"]) / (true["known"] - true["carried_over"])
 
 
 def main() -> None:
