@@ -24,7 +24,6 @@ from tensordict import TensorDictBase
 from torch import nn
 from torchrl.envs import Compose, EnvBase, StepCounter, Transform, TransformedEnv
 
-from pemirl_lab.commands.adapt_reward import load_adapted
 from pemirl_lab.measuring.own_proofs import (
     EPISODES,
     distances,
@@ -43,6 +42,7 @@ from pemirl_trl import (
     PEMIRLModel,
     infer,
     load_model,
+    load_policy,
 )
 from pemirl_trl.evaluation import Actor, episode_returns
 from pemirl_trl.methods import adaptation_config
@@ -79,7 +79,7 @@ def run(seed: int, folder: Path, settings: Sequence[str] = (), adapting: Any = N
         *(*common, *words(adapting or {})),
     )
     model = load_model(model_file)
-    policy, _ = load_adapted(folder / "adapt" / "policy.safetensors", model)
+    policy = load_policy(folder / "adapt" / "policy.safetensors", model)
     inferred, goals = of_contexts(model, new), of_tasks(new)
     returns = {
         "expert": score(goals, expert),

@@ -27,7 +27,6 @@ from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.envs import Transform, TransformedEnv
 
-from pemirl_lab.commands.adapt_reward import load_adapted
 from pemirl_lab.measuring.own_proofs import EPISODES, of_contexts
 from pemirl_lab.results import environment_facts
 from pemirl_trl import (
@@ -36,6 +35,7 @@ from pemirl_trl import (
     PEMIRLModel,
     Provenance,
     SampleTasks,
+    load_policy,
 )
 from pemirl_trl.evaluation import Actor, whole_episodes
 from pemirl_trl.files import atomic_path
@@ -76,7 +76,7 @@ class Proof:
         self.timed("meta_training", self.meta_train)
         self.timed("adaptation", self.adapt_reward)
         model = load_model(self.folder / "trained" / "model.safetensors")
-        adapted, _ = load_adapted(self.folder / "adapted" / "policy.safetensors", model)
+        adapted = load_policy(self.folder / "adapted" / "policy.safetensors", model)
         oracle = self.timed("rl_with_true_reward", lambda: self.oracle(model, new))
         known = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=EPISODES)
         inferred = of_contexts(model, new)

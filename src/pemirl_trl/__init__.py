@@ -65,7 +65,13 @@ from pemirl_trl.objectives import (
 )
 from pemirl_trl.optim import TrustRegionOptimizer, TrustRegionResult
 from pemirl_trl.pretrained import load_card, load_model, save_model
-from pemirl_trl.sharing import PortableReward, load_reward, save_reward
+from pemirl_trl.sharing import (
+    PortableReward,
+    load_policy,
+    load_reward,
+    save_policy,
+    save_reward,
+)
 from pemirl_trl.transforms import (
     AbsorbingState,
     InferContext,
@@ -147,9 +153,11 @@ __all__ = [
     "infer",
     "load_card",
     "load_model",
+    "load_policy",
     "load_reward",
     "meta_train",
     "save_model",
+    "save_policy",
     "save_reward",
     "wrap_gymnasium",
 ]

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import yaml
 
 from pemirl_lab import cli
-from pemirl_lab.commands.adapt_reward import load_adapted
 from pemirl_lab.runs.own_task import OwnTask, load_make_env, parse_words
-from pemirl_trl import CategoricalPolicy, DemonstrationDataset, load_model
+from pemirl_trl import CategoricalPolicy, DemonstrationDataset, infer, load_model, load_policy
 
 PENDULUM = Path(__file__).parents[2] / "examples" / "own_pendulum" / "pendulum.py"
 FEW = (
@@ -262,8 +262,11 @@ def test_discrete_actions_and_named_entries_by_command(here, command, monkeypatc
     pemirl("adapt_reward", *adapt, "observation_keys=[column,row]")
     pemirl("infer", "model_file=R/model.safetensors", "demonstration=one.safetensors")
     assert "r(s, m) along the demonstration" in capsys.readouterr().out
-    policy, _ = load_adapted(
-        here / "A/policy.safetensors", load_model(here / "R/model.safetensors")
-    )
+    model = load_model(here / "R/model.safetensors")
+    policy = load_policy(here / "A/policy.safetensors", model)
     assert isinstance(policy, CategoricalPolicy)
+    inference = infer(model, here / "one.safetensors")
+    chosen = inference.action(torch.zeros(4, model.observation_dim), policy)
+    assert chosen.shape == (4, model.action_dim)
+    assert (chosen.sum(-1) == 1).all()
     sys.modules.pop("my_grid", None)

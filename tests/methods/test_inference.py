@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensordict import TensorDict
 
-from pemirl_trl import DemonstrationDataset, PEMIRLModel, infer, load_model
+from pemirl_trl import DemonstrationDataset, PEMIRLModel, PortableReward, infer, load_model
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "file_version_1"
 
@@ -27,6 +28,43 @@ def test_the_reward_is_that_of_the_demonstrated_goal(trained, dataset):
         assert reward.shape == (101, 1)
         assert not reward.requires_grad
         assert abs(float(states[reward.argmax()]) - goal) < 0.4
+
+
+@torch.no_grad()
+def means(policy, states, inference):
+    batch = states.shape[:-1]
+    given = {"observation": states, "context": inference.context.expand(*batch, -1)}
+    return policy.get_dist(TensorDict(given, batch)).mean
+
+
+def test_the_action_is_the_policys_mean_for_this_demonstration(trained, dataset):
+    inference = infer(trained, dataset(torch.tensor([[0.3]])))
+    states = torch.linspace(-1, 1, 6, dtype=torch.float64).view(2, 3, 1)
+    mean = means(trained.policy, states.float(), inference)
+    action = inference.action(states)
+    torch.testing.assert_close(action, mean)
+    assert not action.requires_grad
+    torch.testing.assert_close(inference.action(states[0, 0]), mean[0, 0])
+    drawn = inference.action(states, sample=True)
+    assert (drawn - mean).abs().min() > 0
+
+
+def test_the_action_of_another_policy_is_that_policys(trained, dataset):
+    inference = infer(trained, dataset(torch.tensor([[0.3]])))
+    other = trained.new_policy()
+    states = torch.linspace(-1, 1, 6).unsqueeze(-1)
+    mean = means(other, states, inference)
+    torch.testing.assert_close(inference.action(states, other), mean)
+    with pytest.raises(ValueError, match=r"got states \[5, 2\]; expected \[..., 1\]"):
+        inference.action(torch.zeros(5, 2))
+
+
+def test_a_reward_alone_brings_no_policy(trained, dataset):
+    inference = infer(PortableReward.of(trained), dataset(torch.tensor([[0.3]])))
+    states = torch.zeros(5, 1)
+    with pytest.raises(ValueError, match="a reward brings no policy"):
+        inference.action(states)
+    assert inference.action(states, trained.policy).shape == (5, trained.action_dim)
 
 
 def test_states_of_another_size_are_refused(trained, dataset):

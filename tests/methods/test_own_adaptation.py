@@ -7,7 +7,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from pemirl_trl import adapt, infer
+from pemirl_trl import adapt, infer, load_policy
 from pemirl_trl.evaluation import whole_episodes
 from pemirl_trl.methods import AdaptationConfig, objective, own_adaptation
 
@@ -133,6 +133,16 @@ def test_demonstrations_of_another_task_are_refused_before_anything(reach, new, 
     model.horizon = 12
     with pytest.raises(ValueError, match=r"\(S, A, T\) = \(1, 1, 10\).*trained on \(1, 1, 12\)"):
         adapt(model, new, make_env)
+
+
+def test_a_saved_policy_acts_as_the_returned_one(trained, new, make_env, tmp_path):
+    few = {"optimization": {"iterations": 1}, "rollouts": 8}
+    adaptation = adapt(trained, new, make_env, initial_policy="fresh", **few)
+    adaptation.save(tmp_path / "policy.safetensors")
+    policy = load_policy(tmp_path / "policy.safetensors", trained)
+    inference, states = infer(trained, new[0]), torch.randn(5, trained.observation_dim)
+    given = inference.action(states, adaptation.policy)
+    assert torch.equal(inference.action(states, policy), given)
 
 
 def test_the_policy_reads_observation_and_context(trained, new, make_env):

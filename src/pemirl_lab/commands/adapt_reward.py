@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import field
-from pathlib import Path
 
 import torch
 from pydantic.dataclasses import dataclass
@@ -37,7 +36,6 @@ from pemirl_lab.runs.run_folder import RunFolder, say
 from pemirl_lab.runs.settings import Settings
 from pemirl_trl import Adaptation, PEMIRLModel
 from pemirl_trl.configuration import CHECKED
-from pemirl_trl.files import load_weights, read_metadata, save_weights
 from pemirl_trl.methods import (
     PolicyOptimization,
     PolicyOptimizationConfig,
@@ -51,6 +49,7 @@ from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.loop import Method
 from pemirl_trl.modules.model import Policy
 from pemirl_trl.pretrained import load_model
+from pemirl_trl.sharing import save_policy
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -106,8 +105,7 @@ def run_own(task: OwnEnvironment) -> Adaptation:
         observation_keys=task.observation_keys,
     )
     file = folder().file("policy.safetensors")
-    facts = {"environment": task.env, "env_steps": str(result.env_steps)}
-    save_weights(file, {"policy": result.policy}, {**facts, "activation": result.activation})
+    result.save(file, {"environment": task.env})
     told = ("kept", "start", "tries", "learned_return", "carried_over_return", "env_steps")
     record = {name: getattr(result, name) for name in (*told, "warnings")}
     folder().write_json("adaptation.json", record)
@@ -170,8 +168,8 @@ def adapt(
     model.cpu()
     policy.cpu()
     file = folder.file("policy.safetensors" if stage == "adaptation" else f"{stage}.safetensors")
-    facts = {"environment": name, "env_steps": str(method.env_steps), "activation": activation}
-    save_weights(file, {"policy": policy}, facts)
+    facts = {"environment": name, "env_steps": str(method.env_steps)}
+    save_policy(file, policy, activation, facts)
     say(f"{stage}: trained on {method.env_steps:,} environment steps -> {file}")
     return policy, method.env_steps
 
@@ -187,17 +185,3 @@ def _objective(
     if settings.planar:  # known as a function: the oracle's optimiser is the same
         return true_reward_module(name), keys, optimization
     return None, keys, dataclasses.replace(optimization, imitate_best=0.0)
-
-
-def load_adapted(file: Path, model: PEMIRLModel) -> tuple[Policy, int]:
-    """The policy of a file that :func:`adapt` wrote, and the environment steps it took.
-
-    Raises:
-        ValueError: the file holds something else.
-    """
-    facts = read_metadata(file)
-    if not {"activation", "env_steps"} <= set(facts):
-        raise ValueError(f"{file} holds weights of {sorted(facts)}; expected an adapted policy")
-    policy = model.new_policy(activation=facts["activation"])
-    load_weights(file, {"policy": policy})
-    return policy, int(facts["env_steps"])

@@ -16,7 +16,6 @@ from pathlib import Path
 import torch
 from pydantic.dataclasses import dataclass
 
-from pemirl_lab.commands.adapt_reward import load_adapted
 from pemirl_lab.measuring.behaviours import behaviour_measures
 from pemirl_lab.measuring.scores import Scorer, context_measures, load_test_demonstrations
 from pemirl_lab.pages.drawing import draw_learning_curve, draw_reward_maps
@@ -29,6 +28,7 @@ from pemirl_trl import DemonstrationDataset, PEMIRLModel
 from pemirl_trl.configuration import CHECKED
 from pemirl_trl.files import read_metadata
 from pemirl_trl.pretrained import load_model
+from pemirl_trl.sharing import load_policy
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -163,7 +163,8 @@ def _scores(
     meta_run: Path,
     adaptation_run: Path,
 ) -> list[Score]:
-    adapted, adaptation = load_adapted(adaptation_run / "policy.safetensors", model)
+    file = adaptation_run / "policy.safetensors"
+    adapted, adaptation = load_policy(file, model), int(read_metadata(file)["env_steps"])
     steps = int(read_metadata(meta_run / "model.safetensors")["env_steps"])
     used = {"meta_training": steps, "adaptation": adaptation}
     scorer = Scorer(settings, demonstrations)

@@ -19,7 +19,6 @@ from torchrl.envs import Transform
 
 import pemirl_envs
 from pemirl_envs.rendering import render, write_video
-from pemirl_lab.commands.adapt_reward import load_adapted
 from pemirl_lab.measuring.experts import load_expert
 from pemirl_lab.measuring.rollouts import environment, of_demonstrations, of_tasks
 from pemirl_lab.measuring.scores import load_test_demonstrations
@@ -29,6 +28,7 @@ from pemirl_lab.runs.settings import Settings
 from pemirl_trl.configuration import CHECKED, Count
 from pemirl_trl.evaluation import whole_episodes
 from pemirl_trl.pretrained import load_model
+from pemirl_trl.sharing import load_policy
 
 Filmed = tuple[Callable[[TensorDictBase], TensorDictBase], Transform, int]
 """A policy, what resets to its tasks, and their number."""
@@ -84,7 +84,7 @@ def adapted(settings: Settings, own: Own) -> Filmed:
     """An adapted policy, with the contexts of a few unseen demonstrations."""
     model = load_model(run_file(own.model_file, "quickstart or meta_train"))
     file = run_file(own.policy_file, "quickstart or adapt_reward")
-    policy, _ = load_adapted(file, model)
+    policy = load_policy(file, model)
     demonstrations = load_test_demonstrations(settings)
     few = demonstrations[_spread(len(demonstrations), own.tasks)]
     return policy, of_demonstrations(model, few, 1), len(few)

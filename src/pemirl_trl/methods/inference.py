@@ -6,13 +6,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
+from tensordict import TensorDict
 from torch import Tensor
 from torch.distributions import Distribution
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.early_ends import for_model
 from pemirl_trl.methods.own_training import as_dataset
 from pemirl_trl.modules import FamilyDistance, PEMIRLModel, ShapedReward
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.sharing import PortableReward
 
 
@@ -42,12 +45,44 @@ class Inference:
         Raises:
             ValueError: the states are not those of the model.
         """
+        return self._model.reward.reward(self._states(observation), self.context)
+
+    @torch.no_grad()
+    def action(
+        self, observation: Tensor, policy: Policy | None = None, *, sample: bool = False
+    ) -> Tensor:
+        """Return what a policy does in states ``[..., S]``, asked for this task: ``[..., A]``.
+
+        Args:
+            observation: states, as in the environment.
+            policy: an adapted one, of :func:`pemirl_trl.load_policy` or ``adapt(...).policy``; by
+                default the one that the model was meta-trained with, which imitates.
+            sample: draw an action; by default it is the mean. A discrete one is one-hot: the
+                likeliest choice by default, and ``action.argmax(-1)`` is its number.
+
+        Raises:
+            ValueError: the states are not those of the model; or no policy is given, and a reward
+                alone, which brings none, was asked.
+        """
+        if policy is None:
+            if not isinstance(self._model, PEMIRLModel):
+                raise ValueError("a reward brings no policy: give one of load_policy(FILE, model)")
+            policy = self._model.policy
+        states = self._states(observation)
+        context = self.context.expand(*states.shape[:-1], -1)
+        given = TensorDict({"observation": states, "context": context}, states.shape[:-1])
+        drawn = ExplorationType.RANDOM if sample else ExplorationType.DETERMINISTIC
+        with set_exploration_type(drawn):
+            return policy(given)["action"]
+
+    def _states(self, observation: Tensor) -> Tensor:
+        """States as the networks read them."""
         size = self._model.observation_dim
         if self._model.config.absorbing and observation.shape[-1:] == (size - 1,):
             observation = torch.nn.functional.pad(observation, (0, 1))
         if observation.shape[-1:] != (size,):
             raise ValueError(f"got states {list(observation.shape)}; expected [..., {size}]")
-        return self._model.reward.reward(observation, self.context)
+        return observation.to(torch.get_default_dtype())
 
     def __str__(self) -> str:
         """Return m with its deviation, and the distance, in a few lines."""

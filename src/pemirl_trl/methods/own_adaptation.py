@@ -27,6 +27,7 @@ from pemirl_trl.methods.stages import OnIteration, RunStage, stages
 from pemirl_trl.modules import PEMIRLModel
 from pemirl_trl.modules.family import FAR
 from pemirl_trl.modules.model import Policy
+from pemirl_trl.sharing import save_policy
 from pemirl_trl.transforms import InferContext
 
 LOG = logging.getLogger("pemirl_trl")
@@ -73,6 +74,15 @@ class Adaptation:
     env_steps: int
     warnings: tuple[str, ...]
     settings: str
+
+    def save(self, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:
+        """Write the policy to one safetensors file, for :func:`pemirl_trl.load_policy`.
+
+        Raises:
+            OSError: it cannot be written; the message names the file and says what to do.
+        """
+        facts = {**(metadata or {}), "env_steps": str(self.env_steps)}
+        save_policy(path, self.policy, self.activation, facts)
 
     def __str__(self) -> str:
         """Return the learned returns and the warnings, one a line."""

@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from pemirl_lab.commands import adapt_reward
-from pemirl_lab.commands.adapt_reward import load_adapted
-from pemirl_trl import DemonstrationDataset
+from pemirl_trl import DemonstrationDataset, load_policy
 from pemirl_trl.files import read_metadata
 from pemirl_trl.methods import initial_policy
 from pemirl_trl.pretrained import load_model
@@ -38,10 +37,7 @@ def test_a_policy_is_left_with_what_it_takes_to_load_it(settings, trained):
     facts = read_metadata("adapted/policy.safetensors")
     expected = {"environment": "point_maze/right", "env_steps": "400", "activation": "tanh"}
     assert facts.items() >= expected.items()
-    loaded, steps = load_adapted(
-        trained / "adapted/policy.safetensors", load_model("model.safetensors")
-    )
-    assert steps == 400
+    loaded = load_policy("adapted/policy.safetensors", load_model("model.safetensors"))
     for name, value in policy.state_dict().items():
         assert torch.equal(loaded.state_dict()[name], value), name
 
@@ -83,10 +79,3 @@ def test_a_model_that_is_not_there_says_who_writes_it(settings, here):
     message = r"no file .*runs/meta_train/ant/.*/model.safetensors: pemirl meta_train writes it"
     with pytest.raises(FileNotFoundError, match=message):
         adapt_reward.run(*settings("adapt_reward", "experiment=ant", "logger=null"))
-
-
-def test_other_weights_are_no_adapted_policy(trained):
-    model = load_model("model.safetensors")
-    message = "model.safetensors holds weights of .*; expected an adapted policy"
-    with pytest.raises(ValueError, match=message):
-        load_adapted(trained / "model.safetensors", model)
