@@ -36,12 +36,15 @@ def test_what_both_bodies_do_is_found_and_a_habit_is_not():
     assert found.worst[0] > 0.03
     assert found.worst[1] < -0.2
     assert found.nats.shape == (2, 3)
+    assert found.whole.shape == (2,)
+    assert found.whole.min() < 0  # the lean is in it
 
 
 def test_a_habit_that_bodies_share_is_found_too():
     """The limit of it: what every body does alike cannot be told from what was meant."""
     found = find_task_space([walks(1.0, 0), walks(1.0, 1)], settings=QUICK)
     assert set(found.components) == {0, 1}
+    assert found.whole.min() > found.worst.max()
 
 
 def test_demonstrations_that_do_not_fit_are_refused():

@@ -5,7 +5,8 @@
 
 A file for each body. Where they say which task each demonstration is of, equal ones are paired;
 otherwise demonstration i of every file is of the same task, whichever that is. Prints what each
-component of an observation tells of the task in a body that was left out, in nats a step, and the
+component of an observation, and all of them together, tell of the task in a body that was left
+out, in nats a step, and the
 ``task_space`` for ``pemirl meta_train preset=contrastive``. Settings of Meta-IL can be given.
 """
 
@@ -94,6 +95,8 @@ def table(found: TaskSpace) -> str:
     for i in order:
         each = "  ".join(f"{value:7.3f}" for value in found.nats[:, i].tolist())
         lines.append(f"{i:>9}   {float(found.worst[i]):22.3f}   {each}")
+    each = "  ".join(f"{value:7.3f}" for value in found.whole.tolist())
+    lines.append(f"{'all':>9}   {float(found.whole.min()):22.3f}   {each}")
     if found.components:
         chosen = ",".join(map(str, found.components))
         lines.append(f"what tells the task in every body: task_space=[{chosen}]")
@@ -101,6 +104,11 @@ def table(found: TaskSpace) -> str:
         lines.append(
             "no component tells the task in every body: more demonstrations, or other bodies; what "
             "only several components together tell is not found"
+        )
+    if found.whole.min() > max(0.0, float(found.worst.max())):
+        lines.append(
+            "all of them together tell more, in every body: r may read the whole state, as it does "
+            "without task_space (preset=robust)"
         )
     return "\n".join(lines)
 

@@ -1,6 +1,7 @@
 """What is measured: returns, contexts, rewards, and their statistics."""
 
 from pemirl_trl.evaluation.context_quality import linear_probe
+from pemirl_trl.evaluation.joint_information import joint_information
 from pemirl_trl.evaluation.returns import (
     Actor,
     episode_returns,
@@ -65,6 +66,7 @@ __all__ = [
     "independent_samples",
     "iqm",
     "iqm_interval",
+    "joint_information",
     "linear_probe",
     "map_of_reward",
     "pearson",

@@ -65,7 +65,7 @@ def held_out_information(
     times = torch.randint(horizon, (count, samples), generator=generator)
     indicator = _visits(observations.detach()[torch.arange(count).unsqueeze(-1), times], bins)
     own = _features(contexts).expand(folds, -1, -1)  # [F, J, K]
-    other = own[:, _within(bodies, generator)]
+    other = own[:, within_bodies(bodies, generator)]
     # r of a bin is what counts, and how often it is visited: no need to keep the steps.
     held = one_hot(bodies, folds).T.float()  # [F, J]
     weights = torch.zeros(folds, observations.shape[-1], bins, own.shape[-1], requires_grad=True)
@@ -145,7 +145,7 @@ def _features(contexts: Tensor) -> Tensor:
     return torch.cat([torch.ones_like(scaled[..., :1]), scaled, scaled.square()], -1)
 
 
-def _within(bodies: Tensor, generator: torch.Generator | None) -> Tensor:
+def within_bodies(bodies: Tensor, generator: torch.Generator | None) -> Tensor:
     """For each demonstration another one of the same body, ``[J]``: a random cycle of each."""
     partner = torch.empty_like(bodies)
     for body in bodies.unique():

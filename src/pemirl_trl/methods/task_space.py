@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn.functional import one_hot
 
 from pemirl_trl.data import DemonstrationDataset, pair_by_task
+from pemirl_trl.evaluation.joint_information import joint_information
 from pemirl_trl.evaluation.task_space import agreed_contexts, held_out_information
 from pemirl_trl.methods.defaults import meta_training_config
 from pemirl_trl.methods.meta_il import MetaIL
@@ -29,11 +30,15 @@ class TaskSpace:
     Attributes:
         components: those that tell something in every body: what a reward may read where the
             dynamics change, ``task_space`` of :func:`pemirl_trl.meta_train`. The best comes first.
+        whole: ``[bodies]``, what the whole state tells there
+            (:func:`pemirl_trl.evaluation.joint_information`). Below 0 in a body, a reward of the
+            whole state reads what is that body's own, and is not to be trusted under others.
         nats: ``[bodies, S]``, a step; below 0: what it meant in the other bodies misleads here.
         model: Meta-IL's, on the pairs: its encoder gave m.
     """
 
     components: list[int]
+    whole: Tensor
     nats: Tensor
     model: PEMIRLModel
 
@@ -95,15 +100,14 @@ def find_task_space(
     trajectories = told.trajectories()
     with torch.no_grad():
         means = model.encoder.get_dist(trajectories).mean
-    nats = held_out_information(
-        trajectories["observation"][..., :size],
-        agreed_contexts(means, tasks, body),
-        body,
-        generator=torch.Generator().manual_seed(seed),
-    )
+    shown = trajectories["observation"][..., :size], agreed_contexts(means, tasks, body), body
+    nats = held_out_information(*shown, generator=torch.Generator().manual_seed(seed))
+    whole = joint_information(*shown, [range(size)], generator=torch.Generator().manual_seed(seed))[
+        :, 0
+    ]
     worst = nats.min(0).values
     order = worst.argsort(descending=True)
-    return TaskSpace(order[worst[order] > 0].tolist(), nats, model)
+    return TaskSpace(order[worst[order] > 0].tolist(), whole, nats, model)
 
 
 def _check(demonstrations: Sequence[DemonstrationDataset]) -> None:
