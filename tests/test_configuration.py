@@ -5,6 +5,7 @@ import dataclasses
 import pytest
 
 from pemirl_trl import ModelConfig
+from pemirl_trl.configuration import typed
 from pemirl_trl.methods import (
     METHODS,
     AIRLConfig,
@@ -77,3 +78,20 @@ def test_without_the_information_term_it_is_airl_with_contexts():
     shared = {f.name for f in dataclasses.fields(AIRLConfig)}
     with_info, without = METHODS["pemirl"].training, METHODS["pemirl_no_info"].training
     assert {n: getattr(with_info, n) for n in shared} == {n: getattr(without, n) for n in shared}
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"stepz": 3}, r"^unknown key stepz \(did you mean steps\?\)$"),
+        ({"epochs": 3}, r"^unknown key epochs; expected one of \['steps', "),
+    ],
+)
+def test_an_unknown_name_is_refused_with_those_that_there_are(values, message):
+    with pytest.raises(ValueError, match=message):
+        typed(MetaILConfig, values)
+
+
+def test_of_a_nested_name_those_beside_it_are_said():
+    with pytest.raises(ValueError, match=r"unknown key batch.trajectory \(did you mean trajector"):
+        typed(PEMIRLConfig, {"batch": {"trajectory": 3}})

@@ -14,7 +14,8 @@ max_kl
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import difflib
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, TypeVar
 
 import torch
@@ -74,18 +75,30 @@ def typed(cls: type[Config], values: Mapping[str, Any], *, at: str = "") -> Conf
     try:
         return TypeAdapter(cls).validate_python(dict(values))
     except ValidationError as error:
-        lines = [_explained(problem, at) for problem in error.errors()]
+        lines = [_explained(problem, at, cls) for problem in error.errors()]
         raise ValueError("; ".join(lines)) from None
 
 
-def _explained(problem: Mapping[str, Any], at: str) -> str:
+def _explained(problem: Mapping[str, Any], at: str, cls: type) -> str:
     name = ".".join(str(part) for part in (*filter(None, [at]), *problem["loc"]))
     message = problem["msg"].removeprefix("Value error, ")
     if problem["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
-        return f"unknown key {name}"
+        return f"unknown key {name}{_choices(cls, problem['loc'])}"
     if problem["type"] == "missing":
         return f"{name} is missing"
     message = message.replace("Input should be", "expected")
     if problem["loc"]:
         return f"{name}={problem['input']}: {message}"
     return f"{at}: {message}" if at else message
+
+
+def _choices(cls: Any, loc: Sequence[str | int]) -> str:
+    """The names that stand where an unknown one was given, in words; the closest alone if any."""
+    for part in loc[:-1]:
+        field = getattr(cls, "__pydantic_fields__", {}).get(part)
+        cls = None if field is None else field.annotation
+    names = [*getattr(cls, "__pydantic_fields__", {})]
+    if not names:  # one of several kinds of configuration
+        return ""
+    close = difflib.get_close_matches(str(loc[-1]), names, n=3)
+    return f" (did you mean {' or '.join(close)}?)" if close else f"; expected one of {names}"

@@ -162,6 +162,22 @@ def test_from_rollouts_keeps_the_horizon_though_all_ended_before():
         DemonstrationDataset.from_rollouts(rollouts, Provenance())
 
 
+def test_from_rollouts_refuses_what_stopped_at_the_first_end():
+    """EnvBase.rollout does that unless told otherwise, and all demonstrations would be cut."""
+    done = torch.tensor([[False, False, False, True], [False] * 4])
+    with pytest.raises(ValueError, match=r"stopped at step 4, where episodes \[0\] were done, and"):
+        DemonstrationDataset.from_rollouts(rolled_out(done, done), Provenance(), task_key=None)
+    every = torch.tensor([[False, False, False, True]] * 2)
+    whole = rolled_out(every, every)
+    assert len(DemonstrationDataset.from_rollouts(whole, Provenance(), task_key=None)) == 2
+
+
+def test_from_rollouts_takes_episodes_of_one_step():
+    none = torch.zeros(2, 4, dtype=torch.bool)
+    demos = DemonstrationDataset.from_rollouts(rolled_out(none, none)[:, :1], Provenance())
+    assert demos.horizon == 1
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -81,3 +81,11 @@ def test_without_ground_truth_there_is_no_true_return(reach):
         collect = EpisodeCollector(env, model.policy, reach.horizon)
         told = collect.true_return(collect())
         assert set(told) == ({"return/true"} if tasks is not None else set())
+
+
+def test_an_environment_that_breaks_down_is_named_and_not_the_training(reach, monkeypatch):
+    _, collect = collector(reach)
+    collect()
+    monkeypatch.setattr(type(reach.make(1)), "step_size", float("inf"))
+    with pytest.raises(ValueError, match="the environment observed NaN or infinity, after 40 step"):
+        collect()

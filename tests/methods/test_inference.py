@@ -2,11 +2,19 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
 
-from pemirl_trl import DemonstrationDataset, PEMIRLModel, PortableReward, infer, load_model
+from pemirl_trl import (
+    DemonstrationDataset,
+    PEMIRLModel,
+    PortableReward,
+    adapt,
+    infer,
+    load_model,
+)
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "file_version_1"
 
@@ -110,3 +118,20 @@ def test_a_model_without_contexts_infers_nothing(reach, dataset):
     model: PEMIRLModel = reach.model(context_dim=0)
     with pytest.raises(ValueError, match="this model infers no reward"):
         infer(model, dataset(torch.tensor([[0.3]])))
+
+
+def test_states_are_any_array_of_numbers(trained, dataset):
+    inference = infer(trained, dataset(torch.tensor([[0.3]])))
+    expected = inference.action(torch.tensor([0.5]))
+    torch.testing.assert_close(inference.action([0.5]), expected)
+    torch.testing.assert_close(inference.action(np.array([0.5])), expected)
+    torch.testing.assert_close(inference.reward([[0.5]]), inference.reward(torch.tensor([[0.5]])))
+
+
+def test_the_name_of_a_models_file_is_no_model(dataset, make_env):
+    one = dataset(torch.tensor([[0.3]]))
+    cure = r"got a model of type str; expected .*: load_model\('mine.safetensors'\)"
+    with pytest.raises(TypeError, match=cure):
+        infer("mine.safetensors", one)
+    with pytest.raises(TypeError, match=cure):
+        adapt("mine.safetensors", one, make_env)

@@ -129,3 +129,24 @@ def test_something_else_than_demonstrations_is_refused(make_env):
 def test_a_digest_tells_demonstrations_apart(pile):
     assert digest(pile) == digest(pile[:])
     assert digest(pile) != digest(pile[:5])
+
+
+def test_one_demonstration_is_no_family_and_is_refused_before_anything_is_trained(make_env, pile):
+    with pytest.raises(ValueError, match="got 1 demonstration to meta-train on; expected those of"):
+        meta_train(make_env, pile[0], **TINY)
+
+
+@pytest.mark.parametrize("space", [["x"], [1], [0, 0], [], 1])
+def test_a_task_space_is_of_numbers_of_components(make_env, pile, space):
+    with pytest.raises(ValueError, match=r"task_space=.*: expected distinct numbers from 0 to 0"):
+        meta_train(make_env, pile, "contrastive", task_space=space, **TINY)
+
+
+def test_a_task_space_that_r_would_not_read_is_refused(make_env, pile):
+    with pytest.raises(ValueError, match=r"got task_space=\[0\], which r does not read here"):
+        meta_train(make_env, pile, task_space=[0], **TINY)
+
+
+def test_what_is_suspicious_about_demonstrations_is_said_by_call_too(make_env, pile, caplog):
+    meta_train(make_env, pile, **TINY)
+    assert "few demonstrations (6 in all)" in caplog.text

@@ -5,7 +5,7 @@ import torch
 from torchrl.data import Bounded, Categorical, Composite, OneHot, Unbounded
 from torchrl.envs import TransformedEnv
 
-from pemirl_trl import InferContext
+from pemirl_trl import InferContext, meta_train
 from pemirl_trl.methods import EpisodeCollector
 
 
@@ -73,3 +73,15 @@ def test_all_that_does_not_fit_is_said_at_once(reach):
 
 def test_what_fits_passes(reach):
     assert collector(reach, reach.make(4))().shape == (4, 10)
+
+
+def test_observations_of_another_type_than_their_spec_says_are_named(make_env, dataset):
+    def unsaid(num_envs, seed):
+        env = make_env(num_envs, seed)
+        observed = env._observed
+        env._observed = lambda: observed().update({"observation": env.position.double()})
+        return env
+
+    pile = dataset(torch.tensor([[-0.5], [0.5]]))
+    with pytest.raises(ValueError, match=r"are torch\.float64, its observation_spec says"):
+        meta_train(unsaid, pile)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -28,13 +29,28 @@ def first_episodes(rollouts: TensorDictBase) -> tuple[Tensor, Tensor]:
         torch.zeros(rows, horizon, dtype=torch.bool) if flag is None else flag.view(rows, horizon)
         for flag in (rollouts.get(("next", name), None) for name in ("done", "terminated"))
     )
+    _check_not_stopped(done)
     last = torch.where(done.any(1), done.int().argmax(1), horizon - 1)
     return last + 1, terminated[torch.arange(rows), last]
 
 
+def _check_not_stopped(done: Tensor) -> None:
+    """Raise where a rollout stopped, for all rows, as soon as one was done ``[M, T]``."""
+    stopped = done[:, -1] if not done[:, :-1].any() else done.new_zeros(1)
+    if stopped.any() and not stopped.all():
+        rows = stopped.nonzero().flatten().tolist()
+        raise ValueError(
+            f"the rollout stopped at step {done.shape[1]}, where episodes {rows[:5]} were done, "
+            f"and {len(done) - len(rows)} others were not: they would be cut there. "
+            "EnvBase.rollout stops at the first end unless you say break_when_all_done=True, which "
+            "goes on until all have ended (or break_when_any_done=False, which resets each)"
+        )
+
+
 def check_constant(what: str, later: Tensor, earlier: Tensor, inside: Tensor) -> None:
     """Raise unless ``[M, T-1, ...]`` are equal wherever ``inside`` ``[M, T-1]``."""
-    differ = (later != earlier).reshape(*inside.shape, -1).any(-1) & inside
+    size = math.prod(later.shape[2:])  # -1 says nothing of rollouts of one step
+    differ = (later != earlier).reshape(*inside.shape, size).any(-1) & inside
     bad = differ.any(1).nonzero().flatten().tolist()
     if bad:
         raise ValueError(f"episodes {bad[:5]} {what}; expected one whole episode per row")

@@ -125,6 +125,12 @@ class EpisodeCollector(Collection):
                 "that end by themselves need AbsorbingState and a model that knows of ends "
                 "(model.absorbing=true); a time limit is that of the demonstrations"
             )
+        if not bool(torch.isfinite(rollouts["next", "observation"]).all()):
+            raise ValueError(
+                "the environment observed NaN or infinity, after "
+                f"{self.env_steps:,} steps without: what it does with the actions that the policy "
+                "took is not defined (clamp actions or states in it, or take smaller time steps)"
+            )
         if "absorbing" in rollouts and rollouts["absorbing"].any():
             _settle(rollouts, self._policy)
         return rollouts if self._policy is self._learner else rollouts.to(self._device)

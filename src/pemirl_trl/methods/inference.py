@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
+from numpy.typing import ArrayLike
 from tensordict import TensorDict
 from torch import Tensor
 from torch.distributions import Distribution
@@ -13,7 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.early_ends import for_model
-from pemirl_trl.methods.own_training import as_dataset
+from pemirl_trl.methods.own_training import as_dataset, check_model
 from pemirl_trl.modules import FamilyDistance, PEMIRLModel, ShapedReward
 from pemirl_trl.modules.model import Policy
 from pemirl_trl.sharing import PortableReward
@@ -36,7 +37,7 @@ class Inference:
     _model: PEMIRLModel | PortableReward = field(repr=False)
 
     @torch.no_grad()
-    def reward(self, observation: Tensor) -> Tensor:
+    def reward(self, observation: Tensor | ArrayLike) -> Tensor:
         """Return r(s, m) ``[..., 1]`` of states ``[..., S]``, without a unit.
 
         Where episodes end by themselves, states are as in the environment, or with the indicator of
@@ -49,12 +50,16 @@ class Inference:
 
     @torch.no_grad()
     def action(
-        self, observation: Tensor, policy: Policy | None = None, *, sample: bool = False
+        self,
+        observation: Tensor | ArrayLike,
+        policy: Policy | None = None,
+        *,
+        sample: bool = False,
     ) -> Tensor:
         """Return what a policy does in states ``[..., S]``, asked for this task: ``[..., A]``.
 
         Args:
-            observation: states, as in the environment.
+            observation: states, as in the environment; a tensor or any array of numbers.
             policy: an adapted one, of :func:`pemirl_trl.load_policy` or ``adapt(...).policy``; by
                 default the one that the model was meta-trained with, which imitates.
             sample: draw an action; by default it is the mean. A discrete one is one-hot: the
@@ -75,14 +80,15 @@ class Inference:
         with set_exploration_type(drawn):
             return policy(given)["action"]
 
-    def _states(self, observation: Tensor) -> Tensor:
+    def _states(self, observation: Tensor | ArrayLike) -> Tensor:
         """States as the networks read them."""
         size = self._model.observation_dim
+        observation = torch.as_tensor(observation, dtype=torch.get_default_dtype())
         if self._model.config.absorbing and observation.shape[-1:] == (size - 1,):
             observation = torch.nn.functional.pad(observation, (0, 1))
         if observation.shape[-1:] != (size,):
             raise ValueError(f"got states {list(observation.shape)}; expected [..., {size}]")
-        return observation.to(torch.get_default_dtype())
+        return observation
 
     def __str__(self) -> str:
         """Return m with its deviation, and the distance, in a few lines."""
@@ -103,9 +109,11 @@ def infer(
             states alone (``encoder_reads="states"``).
 
     Raises:
+        TypeError: something else than a model, such as the name of its file.
         ValueError: several demonstrations, or one of another size or length than the model's; or a
             model without contexts or without r(s, m).
     """
+    check_model(model, PEMIRLModel, PortableReward)
     data = as_dataset(demonstration)
     if len(data) != 1:
         raise ValueError(

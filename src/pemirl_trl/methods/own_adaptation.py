@@ -21,7 +21,7 @@ from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.environments import Episodes, MakeEnv
 from pemirl_trl.methods.inference import check_demonstrations, infer
 from pemirl_trl.methods.loop import Metrics
-from pemirl_trl.methods.own_training import as_dataset, digest
+from pemirl_trl.methods.own_training import as_dataset, check_model, digest
 from pemirl_trl.methods.policy_optimization import PolicyOptimization
 from pemirl_trl.methods.stages import OnIteration, RunStage, stages
 from pemirl_trl.modules import PEMIRLModel
@@ -127,10 +127,12 @@ def adapt(
             tries.
 
     Raises:
+        TypeError: something else than a model, such as the name of its file.
         ValueError: demonstrations or an environment that do not fit the model, before anything is
             trained; a wrong setting; or a checkpoint of another training.
         TrainingDiverged: a quantity exploded.
     """
+    check_model(model, PEMIRLModel)
     data = as_dataset(demonstrations)
     config = adaptation_config(model, data, overrides)
     found = table(found_for_adaptation(model, data, overrides), config)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from pemirl_trl.configuration import present_device
-from pemirl_trl.data import DemonstrationDataset
+from pemirl_trl.data import DemonstrationDataset, examine
 from pemirl_trl.methods.defaults import found_for_meta_training, meta_training_config, table
 from pemirl_trl.methods.early_ends import for_training
 from pemirl_trl.methods.environments import Episodes, MakeEnv
@@ -72,6 +72,8 @@ def meta_train(
     config = meta_training_config(data, preset, overrides)
     found = table(found_for_meta_training(data, preset, overrides), config)
     LOG.info("meta-training with preset %s and\n%s", preset, found)
+    for finding in examine(data):
+        LOG.warning("%s", finding)
     what = f"{config} task_space={task_space} seed={seed} data={digest(data)}"
     run_stage = stages(on_iteration, checkpoint, hashlib.sha256(what.encode()).hexdigest())
     return meta_train_in_stages(
@@ -105,6 +107,8 @@ def meta_train_in_stages(
         ValueError, TrainingDiverged: as there.
     """
     present_device(device)
+    _check_family(demonstrations)
+    _check_task_space(task_space, config, demonstrations.observation_dim)
     demonstrations, config = for_training(make_env, demonstrations, config, seed, observation_keys)
     torch.manual_seed(seed)
     meta_il = new_model(demonstrations, config, task_space=task_space)
@@ -122,6 +126,35 @@ def meta_train_in_stages(
     model.cpu()
     model.family = training_family(model, demonstrations)
     return model
+
+
+def _check_family(demonstrations: DemonstrationDataset) -> None:
+    """Raise ValueError where nothing can tell tasks apart, before anything is trained."""
+    if len(demonstrations) < 2:
+        raise ValueError(
+            f"got {len(demonstrations)} demonstration to meta-train on; expected those of many "
+            "tasks, at least 2 and commonly hundreds. The one of a new task is for adapt (by "
+            "command: adapt_reward)"
+        )
+
+
+def _check_task_space(task_space: object, config: MethodConfig, size: int) -> None:
+    """Raise ValueError unless a task space is one, and somebody reads it."""
+    if task_space is None:
+        return  # new_model says who needs one
+    if config.reward_reads != "task_space":
+        raise ValueError(
+            f"got task_space={task_space}, which r does not read here: it reads whole observations "
+            f"(reward_reads={config.reward_reads}). Choose preset=contrastive or "
+            "reward_reads=task_space, or leave task_space out"
+        )
+    chosen = list(task_space) if isinstance(task_space, Iterable) else [task_space]
+    legal = all(type(part) is int and 0 <= part < size for part in chosen)
+    if not (chosen and legal and len(set(chosen)) == len(chosen)):
+        raise ValueError(
+            f"task_space={task_space}: expected distinct numbers from 0 to {size - 1}, the "
+            "components of an observation that the task is about"
+        )
 
 
 @torch.no_grad()
@@ -146,6 +179,17 @@ def as_dataset(demonstrations: DemonstrationDataset | str | Path) -> Demonstrati
         f"got demonstrations of type {type(demonstrations).__name__}; expected a "
         "DemonstrationDataset (DemonstrationDataset.from_episodes makes one of pairs of arrays) or "
         "the name of its file"
+    )
+
+
+def check_model(model: object, *kinds: type) -> None:
+    """Raise TypeError unless this is a model in memory, and not, say, the name of its file."""
+    if isinstance(model, kinds):
+        return
+    cure = f": load_model({str(model)!r})" if isinstance(model, str | Path) else ""
+    raise TypeError(
+        f"got a model of type {type(model).__name__}; expected what pemirl_trl.load_model or "
+        f"pemirl_trl.meta_train returns{cure}"
     )
 
 

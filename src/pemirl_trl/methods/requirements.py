@@ -75,6 +75,13 @@ def check_episodes(rollouts: TensorDictBase, horizon: int, *, absorbing: bool = 
                 "length"
             )
         )
+    for seen in (rollouts["observation"], rollouts["next", "observation"]):
+        if seen.dtype != torch.get_default_dtype():
+            raise ValueError(
+                f"this environment cannot be trained on: its observations are {seen.dtype}, its "
+                f"observation_spec says {torch.get_default_dtype()}; make them what it says, or "
+                "say what they are (float64 that is said is cast)"
+            )
     observation = rollouts["next", "observation"]
     if not torch.isfinite(observation).all():
         raise ValueError(
