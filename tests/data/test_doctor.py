@@ -176,3 +176,10 @@ def test_errors_come_first(sound):
     action[:, -1] = 0
     severities = [f.severity for f in examine(DemonstrationDataset(observation, action))]
     assert severities == ["error", "warning"]
+
+
+def test_components_of_an_action_of_different_sizes(sound):
+    observation, action = sound
+    action = 10.0 * action
+    action[..., 1] *= 0.01
+    assert "actions 10 times smaller than the largest" in only(findings(observation, action))

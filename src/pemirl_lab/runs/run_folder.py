@@ -21,6 +21,7 @@ from pemirl_lab.results import environment_facts
 from pemirl_lab.runs.metrics import forget_from
 from pemirl_lab.runs.places import RunRefused
 from pemirl_lab.runs.settings import Settings
+from pemirl_lab.runs.validation import leaves
 from pemirl_trl.checkpoint import TrainingCheckpoint
 from pemirl_trl.files import atomic_path, content_digest
 from pemirl_trl.methods import train
@@ -30,6 +31,14 @@ from pemirl_trl.methods.loop import Method, Metrics
 FREE = ("threads", "device", "logger", "checkpoint_every", "confirm")
 """Settings that a run may be resumed with other values of: its results do not depend on them, or,
 of the device, in their last digits alone."""
+
+
+def _changed(previous: Mapping[str, Any], resolved: Mapping[str, Any]) -> list[str]:
+    """Names of what is not as it was; of the library's settings, each by its own."""
+    names = {k for k in resolved if k not in FREE and previous.get(k) != resolved[k]}
+    before, now = (dict(leaves(of.get("settings") or {})) for of in (previous, resolved))
+    own = {k for k in before.keys() | now.keys() if before.get(k) != now.get(k)}
+    return sorted(names - {"settings"} | own)
 
 
 class RunFolder:
@@ -85,9 +94,7 @@ class RunFolder:
         stored = self.path / "config.yaml"
         if stored.exists():
             previous = _read_yaml(stored)
-            changed = sorted(
-                k for k in resolved if k not in FREE and previous.get(k) != resolved[k]
-            )
+            changed = _changed(previous, resolved)
             if changed and self._begun():
                 raise RunRefused(
                     f"{self.path} holds a run with another {', '.join(changed)}: give another "

@@ -29,6 +29,8 @@ CONSTANT = 1e-6
 """A feature of no more deviation counts as constant, as in pemirl_trl.modules.Standardize."""
 SCALE_RATIO = 1e3
 """Deviations that differ by more from their median are of different worlds."""
+ACTION_RATIO = 10.0
+"""A policy begins with one deviation for all components of an action."""
 OFFSET_RATIO = 1e4
 """float32 has seven digits: beyond this ratio of mean to deviation fewer than three vary."""
 LARGEST_ACTION, SMALLEST_ACTION = 100.0, 1e-4
@@ -92,9 +94,10 @@ def examine(dataset: DemonstrationDataset, action_bounds: Bounds | None = None) 
     elif discrete:
         findings += _unused_choices(dataset)
     else:
-        findings += (
-            _unbounded_scale(dataset) if bounds is None else _bounded_scale(dataset, *bounds)
-        )
+        sized = [
+            *(_unbounded_scale(dataset) if bounds is None else _bounded_scale(dataset, *bounds))
+        ]
+        findings += sized or _uneven_actions(dataset)
     return sorted(findings, key=lambda finding: finding.severity != "error")
 
 
@@ -194,7 +197,8 @@ def _badly_scaled(dataset: DemonstrationDataset) -> Iterator[Finding]:
     odd = varies & ((ratio > SCALE_RATIO) | (ratio < 1 / SCALE_RATIO))
     if odd.any():
         what = f"observation varies by {SCALE_RATIO:g} times more or less than its median feature"
-        yield Finding("warning", what, _numbers(odd), "choose units in which features are alike")
+        cure = "choose units in which features are alike: networks hardly see the smaller ones"
+        yield Finding("warning", what, _numbers(odd), cure)
     shifted = varies & (rows.mean(0).abs() > OFFSET_RATIO * deviation)
     if shifted.any():
         what = "observation hardly varies beside its mean, which costs digits in float32"
@@ -311,6 +315,17 @@ def _unbounded_scale(dataset: DemonstrationDataset) -> Iterator[Finding]:
         worst = ", ".join(f"{float(s):.2g}" for s in scale[odd][:5])
         cure = "divide actions by their bounds: policies start with a deviation near 1"
         yield Finding("warning", f"actions of scale {worst}", _numbers(odd), cure)
+
+
+def _uneven_actions(dataset: DemonstrationDataset) -> Iterator[Finding]:
+    """Components of an action of different sizes, such as newtons and newton metres."""
+    scale = _demonstrated(dataset, dataset.action).double().square().mean(0).sqrt()
+    small = (scale > 0) & (scale < scale.max() / ACTION_RATIO)
+    if small.any():
+        what = f"actions {ACTION_RATIO:g} times smaller than the largest component"
+        cure = "choose units in which components are alike, such as shares of their bounds: a "
+        cure += "policy has one deviation for all, in which the smaller ones drown"
+        yield Finding("warning", what, _numbers(small), cure)
 
 
 def _bounded_scale(dataset: DemonstrationDataset, low: Tensor, high: Tensor) -> Iterator[Finding]:

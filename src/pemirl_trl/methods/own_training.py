@@ -12,6 +12,7 @@ import torch
 
 from pemirl_trl.configuration import present_device
 from pemirl_trl.data import DemonstrationDataset, examine
+from pemirl_trl.methods.consistency import recovered_share, unrecovered
 from pemirl_trl.methods.defaults import found_for_meta_training, meta_training_config, table
 from pemirl_trl.methods.early_ends import for_training
 from pemirl_trl.methods.environments import Episodes, MakeEnv
@@ -125,6 +126,9 @@ def meta_train_in_stages(
     env.close(raise_if_closed=False)  # a collector may have closed it
     model.cpu()
     model.family = training_family(model, demonstrations)
+    if model.config.context_dim > 0:
+        for warning in unrecovered(recovered_share(model, demonstrations, episodes, seed)):
+            LOG.warning("%s", warning)
     return model
 
 

@@ -107,6 +107,14 @@ def test_a_folder_in_which_nothing_began_takes_the_right_values(here):
         claim({"demonstrations": "other"})
 
 
+def test_of_the_librarys_settings_those_that_changed_are_named(here):
+    claim({"seed": 0, "settings": {"training": {"iterations": 2}, "rollouts": 5}}).release()
+    (here / "run/seconds.json").write_text("{}")
+    message = "run holds a run with another rollouts, training.iterations: give"
+    with pytest.raises(ValueError, match=message):
+        claim({"seed": 0, "settings": {"training": {"iterations": 3}}})
+
+
 def test_an_input_that_changed_is_refused_by_its_name(here):
     file = here / "model.safetensors"
     file.write_bytes(b"1")
