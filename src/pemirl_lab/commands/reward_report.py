@@ -150,6 +150,7 @@ def run_own(task: OwnEnvironment) -> RewardReport:
     make_env = load_make_env(task.env)
     data_path = data_file(task.test_demonstrations)
     demonstrations = task.demonstrations_in(data_path)
+    demonstrations.tasks()  # raises before a folder is claimed where nobody knows them
     name = task.true_reward
     true = on_rows(load_function(name, "true_reward"), f"true_reward={name}", task.numbers)
     candidate = of_name(

@@ -70,7 +70,10 @@ def measure_own_reward(
     seed: int,
 ) -> tuple[RewardReport, int]:
     """The measures, and how many radial functions the shortest coverage allowed for."""
-    features = min(report.features, *(batch.shape[1] // 4 for batch in coverage.values()))
+    # Beside the radial functions, potentials have the components of an observation and a constant.
+    others = 1 + next(iter(coverage.values()))["observation"].shape[-1]
+    features = min(report.features, *(b.shape[1] // 4 - others for b in coverage.values()))
+    features = max(1, features)  # of shorter episodes shaping_subspace says what is missing
 
     def true(transitions: TensorDictBase) -> Tensor:
         return true_reward(transitions["observation"], transitions["task", "parameters"])

@@ -190,7 +190,10 @@ class DemonstrationSet:
             ValueError: the dataset has none.
         """
         if self.task is None:
-            raise ValueError("these demonstrations carry no ground-truth task parameters")
+            raise ValueError(
+                "these demonstrations carry no ground-truth task parameters: from_episodes(..., "
+                "task={name: values}) stores them, and from_rollouts what it finds under 'task'"
+            )
         return self.task if index is None else self.task[self._rows(index)]
 
     def _rows(self, index: Index) -> Tensor:
