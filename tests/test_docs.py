@@ -89,7 +89,8 @@ def check(words):
         module = importlib.import_module(f"pemirl_lab.commands.{command}")
         parse_words(given, module.OwnEnvironment, rest=True)
         return
-    chosen = [w.split(",")[0] for w in given if not w.startswith("-") and "hydra" not in w]
+    values = [w for w in given if not w.startswith("-") and "hydra" not in w]
+    chosen = [w if "=[" in w else w.split(",")[0] for w in values]  # of a sweep, the first
     own = importlib.import_module(f"pemirl_lab.commands.{command}").Own
     if command == "reproduce":
         values = dict(word.split("=", 1) for word in chosen)

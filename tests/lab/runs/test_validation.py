@@ -33,7 +33,7 @@ class Outer:
         (
             {"name": "a", "innner": {}},
             "f.yaml",
-            r"^f\.yaml\.inner is missing; unknown key f\.yaml\.innner$",
+            r"^f\.yaml\.inner is missing; unknown key f\.yaml\.innner \(did you mean inner\?\)$",
         ),
         ({"name": "taken", "inner": {}}, "", "^the name is taken$"),
         ({"name": "taken", "inner": {}}, "f.yaml", r"^f\.yaml: the name is taken$"),
