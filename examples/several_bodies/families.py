@@ -151,10 +151,10 @@ ANT = Family(
     task="ant",
     bodies=(
         _ant("normal"),
-        _ant("disabled_left", (2, 3)),
+        _ant("disabled_left_first", (2, 3)),
         _ant("disabled_diagonal", (1, 3)),
         _ant("disabled_one", (2,)),
-        _ant("disabled_left", (2, 3), (X,)),
+        _ant("disabled_left_first", (2, 3), (X,)),
         _ant("disabled_diagonal", (1, 3), (X,)),
         _ant("disabled_one", (2,), (X,)),
         _ant("disabled_one", (2,), (Y,)),

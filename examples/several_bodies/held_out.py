@@ -34,10 +34,10 @@ EACH = 12  # demonstrations of each direction and body
 # In the order in which they join: the expert of a variant, its disabled legs, and mirrors.
 BODIES = (
     ("normal", (), ()),
-    ("disabled_left", (2, 3), ()),
+    ("disabled_left_first", (2, 3), ()),
     ("disabled_diagonal", (1, 3), ()),
     ("disabled_one", (2,), ()),
-    ("disabled_left", (2, 3), (X,)),
+    ("disabled_left_first", (2, 3), (X,)),
     ("disabled_diagonal", (1, 3), (X,)),
     ("disabled_one", (2,), (X,)),
     ("disabled_one", (2,), (Y,)),
