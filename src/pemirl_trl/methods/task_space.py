@@ -102,12 +102,11 @@ def find_task_space(
         means = model.encoder.get_dist(trajectories).mean
     shown = trajectories["observation"][..., :size], agreed_contexts(means, tasks, body), body
     nats = held_out_information(*shown, generator=torch.Generator().manual_seed(seed))
-    whole = joint_information(*shown, [range(size)], generator=torch.Generator().manual_seed(seed))[
-        :, 0
-    ]
+    generator = torch.Generator().manual_seed(seed)
+    whole = joint_information(*shown, [range(size)], generator=generator)
     worst = nats.min(0).values
     order = worst.argsort(descending=True)
-    return TaskSpace(order[worst[order] > 0].tolist(), whole, nats, model)
+    return TaskSpace(order[worst[order] > 0].tolist(), whole[:, 0], nats, model)
 
 
 def _check(demonstrations: Sequence[DemonstrationDataset]) -> None:
