@@ -54,6 +54,14 @@ def test_budgets_are_kept_at_every_horizon_or_the_least_iterations_are_done(hori
     assert adaptation.rollouts >= 4 * count
 
 
+def test_demonstrations_are_read_in_parts_but_by_the_published_method():
+    kept = [meta_training_config(data(), preset).meta_il for preset in ("robust", "contrastive")]
+    assert all((m.part_share, m.lr, m.lr_schedule) == (0.5, 2e-3, "cosine") for m in kept)
+    published, default = meta_training_config(data(), "paper").meta_il, MetaILConfig()
+    for name in ("part_share", "lr", "lr_schedule"):
+        assert getattr(published, name) == getattr(default, name)
+
+
 def test_the_weight_of_kl_is_a_tenth_of_the_evidence_bounds_own():
     weights = [meta_training_config(data(4, horizon)).meta_il.kl_coeff for horizon in (10, 500)]
     assert weights == [0.01, 0.0002]

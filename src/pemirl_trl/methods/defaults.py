@@ -41,6 +41,12 @@ Where a demonstration comes to rest, its states show the task, and imitation nee
 alone: at the whole weight m stays vague (docs/faq.md has numbers).
 """
 
+PART_SHARE = 0.5
+"""Of demonstrations that q sees one part of, while the policy imitates the other: m is the task and
+not the way (docs/proofs.md has numbers). Not for ``"paper"``."""
+META_IL_LR = 2e-3
+"""Where Adam's rate starts; it falls to 0 along half a cosine."""
+
 UNIFORM_SHARE, FINAL_UNIFORM_SHARE = 0.3, 0.03
 """Of discrete actions, the share that is drawn uniformly while r takes shape, and at the end."""
 ADAPTATION_SHARES = (0.5, 0.02)
@@ -124,6 +130,9 @@ def found_for_meta_training(
         # tasks' demonstrations do under this context says where this task's goal ends.
         training |= {"info_coeff": 0.0, "encoder_lr": 0.0}
         training["batch"] |= {"relative_log_prob": True, "mismatched_fraction": 0.25}
+    meta_il: dict[str, Any] = {"kl_coeff": KL_SHARE / horizon, "batch_size": min(64, count)}
+    if preset in ("robust", "contrastive"):
+        meta_il |= {"part_share": PART_SHARE, "lr": META_IL_LR, "lr_schedule": "cosine"}
     model: dict[str, Any] = {"policy_scale": scale}
     if kind != "continuous":
         model["actions"] = kind
@@ -134,10 +143,7 @@ def found_for_meta_training(
     return {
         "model": model,
         **({} if kind == "continuous" else {"learn_policy_scale": False}),
-        "meta_il": {
-            "kl_coeff": KL_SHARE / horizon,
-            "batch_size": min(64, count),
-        },
+        "meta_il": meta_il,
         "contexts_per_batch": contexts,
         "training": training,
     }
