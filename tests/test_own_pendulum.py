@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from pemirl_lab.measuring.state_proofs import prove
+
 ROOT = Path(__file__).parents[1]
 RESULTS = sorted((ROOT / "results/own_tasks/pendulum").glob("seed*.json"))
 
@@ -72,4 +74,4 @@ def test_the_stored_results_close_nine_tenths_of_the_gap():
 @pytest.mark.long
 def test_a_policy_for_the_reversed_motor_closes_nine_tenths_of_the_gap(example):
     """A seed that no setting was chosen on."""
-    assert example("run").run(3, {}, {})["gap_closed"] >= 0.9
+    assert prove(example("run").REVERSED, 3)["gap_closed"] >= 0.9

@@ -6,10 +6,10 @@ import logging
 import sys
 from pathlib import Path
 
-import pendulum as task
-import run as example
 import torch
+from run import REVERSED
 
+from pemirl_lab.measuring.state_proofs import measure
 from pemirl_trl import Card, meta_train, save_model
 from pemirl_trl.files import atomic_path
 from pemirl_trl.methods.own_training import digest
@@ -22,9 +22,9 @@ def main() -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     torch.set_num_threads(1)
     file = Path(sys.argv[1])
-    demonstrations = example.pile(SEED)
-    model = meta_train(task.make, demonstrations, seed=SEED)
-    result = example.measure(model, SEED, {}, 0.0)
+    demonstrations = REVERSED.pile(SEED)
+    model = meta_train(REVERSED.make, demonstrations, seed=SEED)
+    result = measure(REVERSED, model, SEED)
     card = Card(
         domain="examples/own_pendulum",
         data_sha256=digest(demonstrations),

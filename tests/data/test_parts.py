@@ -23,7 +23,8 @@ def test_every_step_is_shown_or_imitated_and_both_are_runs_of_a_quarter_and_more
     shown, imitated = parts["shown", "mask"], parts["mask"]
     assert bool((shown ^ imitated).all())
     assert bool(((imitated[:, 1:] != imitated[:, :-1]).sum(1) == 1).all())  # one cut
-    assert 5 <= int(imitated.sum(1).min()) and int(imitated.sum(1).max()) <= 15
+    assert int(imitated.sum(1).min()) >= 5
+    assert int(imitated.sum(1).max()) <= 15
     assert 0.4 < float(shown[:, 0].float().mean()) < 0.6  # beginnings and ends alike
 
 
@@ -76,4 +77,5 @@ def test_the_trajectories_stay_as_they_are():
     trajectories = pile().trajectories()
     before = trajectories.clone()
     in_parts(trajectories, 1.0, torch.zeros(3))
-    assert bool((trajectories == before).all()) and "shown" not in trajectories
+    assert bool((trajectories == before).all())
+    assert "shown" not in trajectories

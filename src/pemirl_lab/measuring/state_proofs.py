@@ -1,0 +1,152 @@
+"""A whole proof on a task of one's own whose reward is that of a step's start.
+
+From demonstrations to the true returns of everybody: ``examples/own_pendulum`` and
+``examples/own_unicycle``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torchrl.envs import Compose, EnvBase, StepCounter, Transform, TransformedEnv
+
+from pemirl_lab.measuring.own_proofs import (
+    EPISODES,
+    distances,
+    of_contexts,
+    of_tasks,
+    result,
+    told,
+    train_on_true_reward,
+    without_tasks,
+)
+from pemirl_trl import ContextPolicy, DemonstrationDataset, PEMIRLModel, adapt, meta_train
+from pemirl_trl.evaluation import Actor, episode_returns
+from pemirl_trl.methods import MakeEnv, adaptation_config
+
+
+@dataclass(frozen=True)
+class StateTask:
+    """A task, and what is different where the policy is to act.
+
+    Attributes:
+        name: of the results.
+        horizon: T.
+        make: the environment of the demonstrations; it observes ``("task", "target")`` ``[..., 2]``
+            and may be reset to one.
+        make_changed: the one of the new policy.
+        demonstrations: so many, of a seed, with ``target`` as ground truth.
+        expert: the controller that knows the target, and what has changed.
+        true_reward: of observations and targets, ``[..., 1]``.
+    """
+
+    name: str
+    horizon: int
+    make: MakeEnv
+    make_changed: MakeEnv
+    demonstrations: Callable[[int, int], DemonstrationDataset]
+    expert: Actor
+    true_reward: Callable[[Tensor, Tensor], Tensor]
+
+    def pile(self, seed: int) -> DemonstrationDataset:
+        """What a model is trained on: 400 demonstrations, and nothing that says which targets."""
+        return without_tasks(self.demonstrations(400, 10_000 + seed))
+
+
+def prove(
+    task: StateTask,
+    seed: int,
+    training: Mapping[str, Any] | None = None,
+    optimization: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Meta-train, infer and adapt; what it came to, in true returns per target.
+
+    Args:
+        task: what it is about.
+        seed: of demonstrations and training.
+        training, optimization: settings that differ from the defaults, for a quick look.
+    """
+    began = time.perf_counter()
+    model = meta_train(task.make, task.pile(seed), seed=seed, **(training or {}))
+    return measure(task, model, seed, optimization, time.perf_counter() - began)
+
+
+def measure(
+    task: StateTask,
+    model: PEMIRLModel,
+    seed: int,
+    optimization: Mapping[str, Any] | None = None,
+    meta_training: float = 0.0,
+) -> dict[str, Any]:
+    """Adapt a model, and score it; ``meta_training``: the seconds that it took."""
+    settings, new = dict(optimization or {}), task.demonstrations(10, 20_000 + seed)
+    began = time.perf_counter()
+    adaptation = adapt(model, without_tasks(new), task.make_changed, seed=seed, **settings)
+    seconds = {"meta_training": meta_training, "adaptation": time.perf_counter() - began}
+    inferred, targets = of_contexts(model, new), of_tasks(new)
+    oracle = _reinforcement_learning(task, model, new, seed, settings)
+    returns = {
+        "expert": _score(task, targets, task.expert, task.make_changed),
+        "random": _score(task, targets, None, task.make_changed),
+        "carried_over": _score(task, inferred, model.policy, task.make_changed),
+        "adapted": _score(task, inferred, adaptation.policy, task.make_changed),
+        "rl_with_true_reward": _score(task, targets, oracle, task.make_changed),
+        "one_shot": _score(task, inferred, model.policy, task.make),
+    }
+    means = {name: sum(each) / len(each) for name, each in returns.items()}
+    return result(
+        *(task.name, seed, means),
+        per_target=returns,
+        **told(adaptation),
+        distances=distances(model, new),
+        seconds=seconds,
+    )
+
+
+def _environment(n: int, seed: int, horizon: int, transform: Transform, make: MakeEnv) -> EnvBase:
+    """Whole episodes of what the transform writes at reset."""
+    return TransformedEnv(make(n, seed), Compose(StepCounter(horizon), transform))
+
+
+def _score(task: StateTask, transform: Transform, actor: Actor, make: MakeEnv) -> list[float]:
+    """True returns, one a target: the mean action, in the same episodes for all."""
+    torch.manual_seed(0)
+    env = _environment(10 * EPISODES, 30_000, task.horizon, transform.clone(), make)
+    return episode_returns(env, actor, task.horizon, episodes_per_task=EPISODES).tolist()
+
+
+def _reinforcement_learning(
+    task: StateTask,
+    model: PEMIRLModel,
+    new: DemonstrationDataset,
+    seed: int,
+    settings: dict[str, Any],
+) -> ContextPolicy:
+    """A policy that reads the target, on the true reward, with adaptation's own settings."""
+    torch.manual_seed(seed)
+    config = adaptation_config(model, new, settings)
+    rollouts = config.rollouts // len(new)
+    target = ("task", "target")
+    policy = ContextPolicy(
+        *(model.observation_dim, model.action_dim, 2),
+        activation=nn.Tanh,
+        initial_scale=config.policy_scale,
+        learn_scale=False,
+        context_key=target,
+    )
+    transform = of_tasks(new, rollouts)
+    train_on_true_reward(
+        policy,
+        _environment(len(new) * rollouts, seed, task.horizon, transform, task.make_changed),
+        task.horizon,
+        config.optimization,
+        rollouts=rollouts,
+        reward=task.true_reward,
+        task_key=target,
+    )
+    return policy
