@@ -9,6 +9,7 @@ import torch
 
 ROOT = Path(__file__).parents[1]
 RESULTS = sorted((ROOT / "results/own_tasks/unicycle").glob("seed*.json"))
+WHOLE = sorted((ROOT / "results/own_tasks/unicycle_whole").glob("seed*.json"))
 
 
 @pytest.fixture
@@ -53,7 +54,7 @@ def test_it_goes_where_it_is_heading(task):
 
 
 def test_the_stored_gaps_are_those_of_their_means():
-    for file in RESULTS:
+    for file in [*RESULTS, *WHOLE]:
         result = json.loads(file.read_text("utf-8"))
         means = result["means"]
         gap = means["rl_with_true_reward"] - means["carried_over"]

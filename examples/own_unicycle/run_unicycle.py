@@ -2,12 +2,15 @@
 
 ``python examples/own_unicycle/run_unicycle.py 0 1 2`` writes
 ``results/own_tasks/unicycle/seed<n>.json`` for each seed, two minutes each: both motors are
-reversed. True returns are for this report; no learner reads them.
+reversed. ``run_unicycle.py whole 0 1 2`` is for comparison (``unicycle_whole``): Meta-IL reads
+demonstrations whole alone, at a rate that does not fall. True returns are for this report; no
+learner reads them.
 """
 
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import unicycle
@@ -16,7 +19,7 @@ from tensordict import TensorDictBase
 from pemirl_lab.measuring.own_proofs import write_results
 from pemirl_lab.measuring.state_proofs import StateTask, prove
 
-RESULTS = Path(__file__).parents[2] / "results" / "own_tasks" / "unicycle"
+RESULTS = Path(__file__).parents[2] / "results" / "own_tasks"
 
 
 def expert(td: TensorDictBase) -> TensorDictBase:
@@ -35,9 +38,17 @@ REVERSED = StateTask(
 )
 
 
+WHOLE = {"meta_il": {"part_share": 0.0, "lr": 1e-3, "lr_schedule": "constant"}}
+"""Meta-IL as the published method has it."""
+
+
 def main() -> None:
     """A result for each seed of the command line."""
-    write_results(RESULTS, lambda seed: prove(REVERSED, seed), sys.argv[1:])
+    whole = "whole" in sys.argv[1:]
+    task = replace(REVERSED, name="unicycle_whole") if whole else REVERSED
+    training = WHOLE if whole else {}
+    seeds = sys.argv[2 if whole else 1 :]
+    write_results(RESULTS / task.name, lambda seed: prove(task, seed, training), seeds)
 
 
 if __name__ == "__main__":
