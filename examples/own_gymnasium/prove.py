@@ -1,7 +1,8 @@
 """One demonstration in, its reward out, by the commands: bodies of Gymnasium's.
 
 ``python examples/own_gymnasium/prove.py reacher 0 1 2`` writes
-``results/own_tasks/reacher/seed<n>.json`` for each seed; ``half_cheetah`` is the other one.
+``results/own_tasks/reacher/seed<n>.json`` for each seed; ``half_cheetah`` is another body, and
+``reacher_action_cost`` is Reacher with what actions cost said beside the learned reward.
 Demonstrations and what ``pemirl meta_train`` and ``pemirl adapt_reward`` write go to
 ``runs/own_tasks``, where nothing of that seed may be. True returns are for this report; no learner
 reads them.
@@ -45,20 +46,26 @@ from pemirl_trl.pretrained import load_model
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
 NEW = 10  # unseen tasks, with one demonstration each
+VARIANTS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "reacher_action_cost": ("reacher", ("action_cost=1.0",)),
+}
+"""Results that are a module's with words of their own for ``pemirl adapt_reward``; 1 is the weight
+that Reacher's true reward has, and r(s, m) is in units of its own."""
 
 
 class Proof:
     """The run of one task and one seed.
 
     Args:
-        name: a module beside this one.
+        name: of the results: a module beside this one, or one of :data:`VARIANTS`.
         seed: of demonstrations and training.
         overrides: words for both commands, for a quick look.
     """
 
     def __init__(self, name: str, seed: int, overrides: tuple[str, ...] = ()) -> None:
         self.name, self.seed, self.overrides = name, seed, overrides
-        self.task = importlib.import_module(name)
+        self.module, self.adaptation = VARIANTS.get(name, (name, ()))
+        self.task = importlib.import_module(self.module)
         self.folder = ROOT / "runs" / "own_tasks" / name / f"seed{seed}"
         self.folder.mkdir(parents=True)  # anew: seconds count
         self.horizon: int = self.environment(1, 0).base_env.task.horizon
@@ -135,14 +142,14 @@ class Proof:
             return td.set("action", (action + noise).clamp(low, high))
 
         rollouts = env.rollout(self.horizon, act)
-        return DemonstrationDataset.from_rollouts(rollouts, Provenance(self.name, seed))
+        return DemonstrationDataset.from_rollouts(rollouts, Provenance(self.module, seed))
 
     def meta_train(self) -> None:
         """``pemirl meta_train``."""
         self.pemirl(
             "meta_train",
             f"demonstrations={self.folder / 'train.safetensors'}",
-            f"env={self.name}:make_env",
+            f"env={self.module}:make_env",
             f"run_dir={self.folder / 'trained'}",
             *self.task.SETTINGS,
         )
@@ -153,8 +160,9 @@ class Proof:
             "adapt_reward",
             f"model_file={self.folder / 'trained' / 'model.safetensors'}",
             f"test_demonstrations={self.folder / 'new.safetensors'}",
-            f"env={self.name}:make_changed_env",
+            f"env={self.module}:make_changed_env",
             f"run_dir={self.folder / 'adapted'}",
+            *self.adaptation,
         )
 
     def pemirl(self, command: str, *words: str) -> None:
