@@ -196,7 +196,9 @@ class Proof:
     def oracle(self, model: PEMIRLModel, new: DemonstrationDataset) -> ContextPolicy:
         """A policy that reads the task, on the true reward, with adaptation's own settings."""
         torch.manual_seed(self.seed)
-        config = adaptation_config(model, new)
+        given = [word.split("=") for word in self.adaptation]
+        longer = {"iterations": int(n) for key, n in given if key == "optimization.iterations"}
+        config = adaptation_config(model, new, {"optimization": longer})
         rollouts = config.rollouts // NEW
         known = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=rollouts)
         env = self.environment(NEW * rollouts, self.seed, known)
