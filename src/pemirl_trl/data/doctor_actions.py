@@ -23,6 +23,7 @@ OUTSIDE_RMS, OUTSIDE_ONCE, HARDLY_USED = 3.0, 30.0, 1e-3
 """The same, and single actions, in half-widths of the bounds."""
 
 Bounds = tuple[ArrayLike, ArrayLike]
+"""The lowest and the highest action, numbers or ``[A]``."""
 
 
 def examine_actions(dataset: DemonstrationDataset, action_bounds: Bounds) -> list[Finding]:
