@@ -2,7 +2,8 @@
 
 ``python examples/own_gymnasium/prove.py reacher 0 1 2`` writes
 ``results/own_tasks/reacher/seed<n>.json`` for each seed; ``half_cheetah`` is another body, and
-``reacher_action_cost`` is Reacher with what actions cost said beside the learned reward.
+``reacher_action_cost`` is Reacher with what actions cost said beside the learned reward,
+``half_cheetah_longer`` gives adaptation more iterations.
 Demonstrations and what ``pemirl meta_train`` and ``pemirl adapt_reward`` write go to
 ``runs/own_tasks``, where nothing of that seed may be. True returns are for this report; no learner
 reads them.
@@ -47,10 +48,11 @@ from pemirl_trl.pretrained import load_model
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
 NEW = 10  # unseen tasks, with one demonstration each
 VARIANTS: dict[str, tuple[str, tuple[str, ...]]] = {
+    # The weight that Reacher's true reward has; r(s, m) is in units of its own.
     "reacher_action_cost": ("reacher", ("action_cost=1.0",)),
+    "half_cheetah_longer": ("half_cheetah", ("optimization.iterations=250",)),
 }
-"""Results that are a module's with words of their own for ``pemirl adapt_reward``; 1 is the weight
-that Reacher's true reward has, and r(s, m) is in units of its own."""
+"""Results that are a module's, with words of their own for ``pemirl adapt_reward``."""
 
 
 class Proof:
