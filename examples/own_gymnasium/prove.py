@@ -199,8 +199,9 @@ class Proof:
         """A policy that reads the task, on the true reward, with adaptation's own settings."""
         torch.manual_seed(self.seed)
         given = [word.split("=") for word in self.adaptation]
-        longer = {"iterations": int(n) for key, n in given if key == "optimization.iterations"}
-        config = adaptation_config(model, new, {"optimization": longer})
+        iterations = [int(value) for key, value in given if key == "optimization.iterations"]
+        longer = {"optimization": {"iterations": iterations[0]}} if iterations else {}
+        config = adaptation_config(model, new, longer)
         rollouts = config.rollouts // NEW
         known = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=rollouts)
         env = self.environment(NEW * rollouts, self.seed, known)
