@@ -10,7 +10,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from torchrl.envs import GymWrapper, ParallelEnv, SerialEnv
 
 from pemirl_trl import adapt, meta_train
-from pemirl_trl.methods import own_adaptation
+from pemirl_trl.methods import policy_training
 
 T = 10
 FEW = {
@@ -74,7 +74,7 @@ PROCESSES = pytest.param("serial", "parallel", marks=pytest.mark.long)  # 26 rou
 @pytest.mark.parametrize(("one", "other"), [PROCESSES, ("sync", "async")])
 def test_other_processes_train_what_this_one_does(dataset, monkeypatch, one, other):
     """Bit for bit, so that which of the two is a question of speed alone."""
-    monkeypatch.setattr(own_adaptation, "JUDGED_EPISODES", 4)  # one process for each
+    monkeypatch.setattr(policy_training, "JUDGED_EPISODES", 4)  # one process for each
     (model, adaptation), (same, likewise) = (trained(kind, dataset) for kind in (one, other))
     for name, weights in model.state_dict().items():
         assert weights.dtype == torch.float32

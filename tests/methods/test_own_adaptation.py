@@ -9,7 +9,7 @@ from tensordict import TensorDict
 
 from pemirl_trl import adapt, infer, load_policy
 from pemirl_trl.evaluation import whole_episodes
-from pemirl_trl.methods import AdaptationConfig, objective, own_adaptation
+from pemirl_trl.methods import AdaptationConfig, objective, policy_training
 
 QUICK = {"rollouts": 24, "optimization": {"iterations": 18}}
 
@@ -80,8 +80,8 @@ def test_what_earns_less_than_the_policy_carried_over_is_not_returned(trained, n
 
 
 def test_policies_are_compared_in_the_same_episodes(trained, new, make_env):
-    episodes = own_adaptation.Episodes(make_env, trained, new, 0)
-    training = own_adaptation._Training(
+    episodes = policy_training.Episodes(make_env, trained, new, 0)
+    training = policy_training.PolicyTraining(
         *(trained, new, episodes, lambda *stage: None), AdaptationConfig(), 0
     )
     assert training.learned_return(trained.policy) == training.learned_return(trained.policy)

@@ -9,38 +9,25 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import torch
-from tensordict import TensorDictBase
-
 from pemirl_trl.configuration import present_device
 from pemirl_trl.data import DemonstrationDataset
-from pemirl_trl.evaluation import whole_episodes
-from pemirl_trl.methods.adaptation import AdaptationConfig, initial_policy, objective
+from pemirl_trl.methods.adaptation import AdaptationConfig
 from pemirl_trl.methods.defaults import adaptation_config, found_for_adaptation, table
-from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.environments import Episodes, MakeEnv
-from pemirl_trl.methods.inference import check_demonstrations, infer
+from pemirl_trl.methods.inference import check_demonstrations
 from pemirl_trl.methods.loop import Metrics
 from pemirl_trl.methods.own_training import as_dataset, check_model, digest
-from pemirl_trl.methods.policy_optimization import PolicyOptimization
+from pemirl_trl.methods.policy_training import PolicyTraining
 from pemirl_trl.methods.stages import OnIteration, RunStage, stages
 from pemirl_trl.modules import PEMIRLModel
-from pemirl_trl.modules.family import FAR
 from pemirl_trl.modules.model import Policy
 from pemirl_trl.sharing import save_policy
-from pemirl_trl.transforms import InferContext
 
 LOG = logging.getLogger("pemirl_trl")
 Start = Literal["fresh", "trained"]
 
 TRY_SHARE = 1 / 6
 """Share of the iterations that each start is tried for; the deviation shrinks as in a whole run."""
-JUDGED_EPISODES = 100
-"""Episodes in which policies are compared, about; at least 4 of each demonstration."""
-JUDGED_SEED = 100_003
-"""Added to the seed: policies are compared in episodes that none was trained on."""
-FAR_SHARE = 0.05
-"""Share of the steps on which r is asked far from its training that is worth a warning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +164,7 @@ def adapt_in_stages(
     """
     demonstrations = check_demonstrations(model, demonstrations)
     episodes = Episodes(make_env, model, demonstrations, seed, observation_keys=observation_keys)
-    train = _Training(
+    train = PolicyTraining(
         model, demonstrations, episodes, run_stage, config, seed, present_device(device)
     )
     carried = model.trained_policy(config.policy_scale)
@@ -216,132 +203,3 @@ def adapt_in_stages(
         warnings=tuple(warnings),
         settings=settings,
     )
-
-
-class _Training:
-    """Trains policies on the learned rewards of demonstrations, and compares them."""
-
-    def __init__(
-        self,
-        model: PEMIRLModel,
-        demonstrations: DemonstrationDataset,
-        episodes: Episodes,
-        run_stage: RunStage,
-        config: AdaptationConfig,
-        seed: int,
-        device: str = "cpu",
-    ) -> None:
-        self.model, self.demonstrations, self.seed = model, demonstrations, seed
-        self._config, self._device = config, device
-        self.env_steps = 0
-        self.history: dict[str, list[Metrics]] = {}
-        self._run_stage = run_stage
-        self._episodes = episodes
-
-    def __call__(self, stage: str, config: AdaptationConfig) -> tuple[Policy, str]:
-        """Train one policy; also return the activation of its hidden layers."""
-        count = len(self.demonstrations)
-        rollouts = max(1, config.rollouts // count)
-        torch.manual_seed(self.seed)
-        policy, activation = initial_policy(self.model.to(self._device), config)
-        policy.to(self._device)
-        env = self._episodes(count * rollouts, self.seed, self._infer(rollouts))
-        optimization = PolicyOptimization(
-            env,
-            policy,
-            self.model.horizon,
-            config.optimization,
-            rollouts_per_context=rollouts,
-            reward=objective(self.model, config, env),
-            diagnostics=Diagnostics(self.model, self.demonstrations.trajectories(), rollouts),
-        )
-        method = _Recorded(optimization)
-        self._run_stage(stage, method)
-        env.close(raise_if_closed=False)  # a collector may have closed it
-        self.model.cpu()
-        policy.cpu()
-        self.env_steps += method.env_steps
-        self.history[stage] = method.history
-        return policy, activation
-
-    def learned_return(self, policy: Policy) -> float:
-        """What a policy's mean action earns, in the episodes that are common to all."""
-        return float(self._rollouts(policy)["learned_reward"].sum(1).mean())
-
-    @torch.no_grad()
-    def _rollouts(self, policy: Policy) -> TensorDictBase:
-        count = len(self.demonstrations)
-        each = max(4, JUDGED_EPISODES // count)
-        seed = self.seed + JUDGED_SEED
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            env = self._episodes(count * each, seed, self._infer(each))
-            rollouts = whole_episodes(env, policy, self.model.horizon)
-            objective(self.model, self._config, env)(rollouts)
-            env.close(raise_if_closed=False)  # a collector may have closed it
-        return rollouts
-
-    def _infer(self, rollouts: int) -> InferContext:
-        return InferContext(
-            self.model.encoder,
-            self.demonstrations.trajectories(),
-            rollouts_per_context=rollouts,
-            draw="all",
-            sample=False,
-        )
-
-    def far_demonstrations(self) -> list[str]:
-        """A warning for each demonstration that is far from those of training."""
-        if self.model.family is None:
-            return [
-                "the model does not say what it was trained on: whether these demonstrations are "
-                "of its family is unknown"
-            ]
-        distances = [infer(self.model, one).distance for one in self._each()]
-        return [
-            f"demonstration {i} is {distance}: its reward may mean nothing"
-            for i, distance in enumerate(distances)
-            if distance is not None and distance.far
-        ]
-
-    def _each(self) -> list[DemonstrationDataset]:
-        return [self.demonstrations[i] for i in range(len(self.demonstrations))]
-
-    def far_states(self, policy: Policy) -> list[str]:
-        """A warning where a policy takes r far from anything it was trained on."""
-        family, features = self.model.family, self.model.config.reward_features
-        if family is None:
-            return []
-        excess = family.excess(self._rollouts(policy)["observation"])
-        read = [*range(excess.shape[-1])] if features is None else list(features)
-        excess = excess[..., read].flatten(0, -2)
-        share = float((excess.amax(-1) > FAR).float().mean())
-        if share <= FAR_SHARE:
-            return []
-        worst = excess.amax(0)
-        return [
-            f"on {100 * share:.0f} % of its steps the policy takes r to states more than {FAR:g} "
-            f"training deviations outside of what was demonstrated (up to "
-            f"{float(worst.max()):.0f}, component {read[int(worst.argmax())]} of the "
-            "observation): r was not trained there"
-        ]
-
-
-class _Recorded:
-    """A method that remembers its metrics."""
-
-    def __init__(self, method: PolicyOptimization) -> None:
-        self._method, self.iterations = method, method.iterations
-        self.history: list[Metrics] = []
-
-    @property
-    def env_steps(self) -> int:
-        return self._method.env_steps
-
-    def iteration(self) -> Metrics:
-        metrics = self._method.iteration()
-        self.history.append(metrics)
-        return metrics
-
-    def components(self) -> dict[str, Any]:
-        return self._method.components()
