@@ -61,8 +61,9 @@ def unrecovered(share: float) -> list[str]:
         "the policy, asked for the contexts of demonstrations from other starts, does what q reads "
         f"as other contexts ({share:.2f} of a context is typically recovered; below "
         f"{LEAST_RECOVERED:g} is a sign): m does not say the task alone, or the policy does not "
-        "imitate, and rewards of this model are likely wrong. Starts that are more alike, more of "
-        "meta_il.steps, and units in which features and actions are alike may help (docs/faq.md)"
+        "imitate, and rewards of this model are likely wrong. Another seed, meta_il.part_share=0.5 "
+        "where it is less, starts that are more alike, and units in which features and actions are "
+        "alike may help (docs/faq.md)"
     ]
 
 
