@@ -119,7 +119,7 @@ def test_the_controller_reaches_and_one_of_the_other_arm_does_not(example, chang
 def test_the_stored_gap_and_terms_are_those_of_the_stored_returns():
     files = [
         f
-        for name in (*IDS, "reacher_action_cost")
+        for name in (*IDS, *VARIANTS)
         for f in (ROOT / "results/own_tasks" / name).glob("seed*.json")
     ]
     assert files
