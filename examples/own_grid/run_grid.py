@@ -32,6 +32,7 @@ from pemirl_lab.measuring.own_proofs import (
     result,
     train_on_true_reward,
     without_tasks,
+    words,
     write_results,
 )
 from pemirl_trl import (
@@ -45,7 +46,7 @@ from pemirl_trl import (
     load_policy,
 )
 from pemirl_trl.evaluation import Actor, episode_returns
-from pemirl_trl.methods import adaptation_config
+from pemirl_trl.modules.model import Policy
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parents[1] / "results" / "own_tasks" / "grid"
@@ -114,15 +115,6 @@ def command(*arguments: str) -> float:
     return time.perf_counter() - began
 
 
-def words(settings: dict[str, Any], prefix: str = "") -> list[str]:
-    """Nested settings as words of a command."""
-    found: list[str] = []
-    for name, value in settings.items():
-        nested = isinstance(value, dict)
-        found += words(value, f"{prefix}{name}.") if nested else [f"{prefix}{name}={value}"]
-    return found
-
-
 def environment(n: int, seed: int, transform: Transform, keys: int) -> EnvBase:
     """Whole episodes of what the transform writes at reset."""
     base = task.Grid(n, seed, keys)
@@ -157,27 +149,18 @@ def share_at_goal(model: PEMIRLModel, new: DemonstrationDataset) -> float:
 
 def reinforcement_learning(
     model: PEMIRLModel, new: DemonstrationDataset, seed: int, settings: dict[str, Any]
-) -> CategoricalPolicy:
+) -> Policy:
     """A policy that reads the goal, on the true reward, with adaptation's own settings."""
-    torch.manual_seed(seed)
-    config = adaptation_config(model, new, settings)
-    rollouts = config.rollouts // len(new)
-    policy = CategoricalPolicy(
-        *(2, len(task.MOVES), 2),
-        activation=nn.Tanh,
-        initial_scale=config.policy_scale,
-        context_key=GOAL,
-    )
-    train_on_true_reward(
-        policy,
-        environment(len(new) * rollouts, seed, of_tasks(new, rollouts), TURNED),
-        task.T,
-        config.optimization,
-        rollouts=rollouts,
+    return train_on_true_reward(
+        *(model, new),
+        lambda share: CategoricalPolicy(
+            *(2, len(task.MOVES), 2), activation=nn.Tanh, initial_scale=share, context_key=GOAL
+        ),
+        lambda n, at, resets: environment(n, at, resets, TURNED),
+        *(seed, settings),
         reward=task.true_reward,
-        task_key=GOAL,
+        reads=("observation", GOAL),
     )
-    return policy
 
 
 def in_a_folder(seed: int) -> dict[str, Any]:

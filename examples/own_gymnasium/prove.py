@@ -25,34 +25,38 @@ from typing import Any
 import torch
 from gymnasium_task import Expert
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.envs import Transform, TransformedEnv
 
-from pemirl_lab.measuring.own_proofs import EPISODES, of_contexts
+from pemirl_lab.measuring.own_proofs import (
+    EPISODES,
+    of_contexts,
+    of_tasks,
+    train_on_true_reward,
+    words,
+)
 from pemirl_lab.results import environment_facts
 from pemirl_trl import (
     ContextPolicy,
     DemonstrationDataset,
     PEMIRLModel,
     Provenance,
-    SampleTasks,
     load_policy,
 )
 from pemirl_trl.evaluation import Actor, whole_episodes
 from pemirl_trl.files import atomic_path
-from pemirl_trl.methods import PolicyOptimization, adaptation_config, train
 from pemirl_trl.modules import Standardize
+from pemirl_trl.modules.model import Policy
 from pemirl_trl.pretrained import load_model
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
 NEW = 10  # unseen tasks, with one demonstration each
-VARIANTS: dict[str, tuple[str, tuple[str, ...]]] = {
+VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     # The weight that Reacher's true reward has; r(s, m) is in units of its own.
-    "reacher_action_cost": ("reacher", ("action_cost=1.0",)),
-    "half_cheetah_longer": ("half_cheetah", ("optimization.iterations=250",)),
+    "reacher_action_cost": ("reacher", {"action_cost": 1.0}),
+    "half_cheetah_longer": ("half_cheetah", {"optimization": {"iterations": 250}}),
 }
-"""Results that are a module's, with words of their own for ``pemirl adapt_reward``."""
+"""Results that are a module's, with settings of their own for ``pemirl adapt_reward``."""
 
 
 class Proof:
@@ -66,7 +70,7 @@ class Proof:
 
     def __init__(self, name: str, seed: int, overrides: tuple[str, ...] = ()) -> None:
         self.name, self.seed, self.overrides = name, seed, overrides
-        self.module, self.adaptation = VARIANTS.get(name, (name, ()))
+        self.module, self.adaptation = VARIANTS.get(name, (name, {}))
         self.task = importlib.import_module(self.module)
         self.folder = ROOT / "runs" / "own_tasks" / name / f"seed{seed}"
         self.folder.mkdir(parents=True)  # anew: seconds count
@@ -87,7 +91,7 @@ class Proof:
         model = load_model(self.folder / "trained" / "model.safetensors")
         adapted = load_policy(self.folder / "adapted" / "policy.safetensors", model)
         oracle = self.timed("rl_with_true_reward", lambda: self.oracle(model, new))
-        known = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=EPISODES)
+        known = of_tasks(new)
         inferred = of_contexts(model, new)
         scores = {
             "expert": self.score(known, after),
@@ -164,7 +168,7 @@ class Proof:
             f"test_demonstrations={self.folder / 'new.safetensors'}",
             f"env={self.module}:make_changed_env",
             f"run_dir={self.folder / 'adapted'}",
-            *self.adaptation,
+            *words(self.adaptation),
         )
 
     def pemirl(self, command: str, *words: str) -> None:
@@ -195,39 +199,25 @@ class Proof:
             for name, part in parts.items()
         }
 
-    def oracle(self, model: PEMIRLModel, new: DemonstrationDataset) -> ContextPolicy:
+    def oracle(self, model: PEMIRLModel, new: DemonstrationDataset) -> Policy:
         """A policy that reads the task, on the true reward, with adaptation's own settings."""
-        torch.manual_seed(self.seed)
-        given = [word.split("=") for word in self.adaptation]
-        iterations = [int(value) for key, value in given if key == "optimization.iterations"]
-        longer = {"optimization": {"iterations": iterations[0]}} if iterations else {}
-        config = adaptation_config(model, new, longer)
-        rollouts = config.rollouts // NEW
-        known = SampleTasks(lambda count: new.tasks()[:count], rollouts_per_task=rollouts)
-        env = self.environment(NEW * rollouts, self.seed, known)
-        policy = ContextPolicy(
-            *(new.observation_dim, new.action_dim, new.tasks()[self.key[1]].shape[-1]),
-            activation=nn.Tanh,
-            standardize=model.standardize,
-            initial_scale=config.policy_scale,
-            learn_scale=False,
-            standardize_context=Standardize.fit(new.tasks()[self.key[1]]),
-            context_key=self.key,
-        )
-        reward = env.base_env.task.true_reward
-        method = PolicyOptimization(
-            env,
-            policy,
-            self.horizon,
-            config.optimization,
-            rollouts_per_context=rollouts,
-            reward=TensorDictModule(
-                reward, ["observation", "action", self.key], ["learned_reward"]
+        standardize_task = Standardize.fit(new.tasks()[self.key[1]])
+        return train_on_true_reward(
+            *(model, new),
+            lambda scale: ContextPolicy(
+                *(new.observation_dim, new.action_dim, standardize_task.features),
+                activation=nn.Tanh,
+                standardize=model.standardize,
+                initial_scale=scale,
+                learn_scale=False,
+                standardize_context=standardize_task,
+                context_key=self.key,
             ),
-            task_keys=(self.key,),
+            self.environment,
+            *(self.seed, self.adaptation),
+            reward=self.environment(1, 0).base_env.task.true_reward,
+            reads=("observation", "action", self.key),
         )
-        train(method)
-        return policy
 
 
 def without_tasks(demonstrations: DemonstrationDataset) -> DemonstrationDataset:

@@ -6,7 +6,6 @@ each seed, some minutes each. True returns are for this report; no learner reads
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 import time
 from pathlib import Path
@@ -22,7 +21,6 @@ from pemirl_lab.measuring.own_proofs import (
     EPISODES,
     distances,
     of_contexts,
-    of_tasks,
     result,
     told,
     train_on_true_reward,
@@ -38,7 +36,7 @@ from pemirl_trl import (
     meta_train,
 )
 from pemirl_trl.evaluation import Actor, returns_per_task, whole_episodes
-from pemirl_trl.methods import adaptation_config
+from pemirl_trl.modules.model import Policy
 
 RESULTS = Path(__file__).parents[2] / "results" / "own_tasks" / "puck"
 SHIFT = -1.0  # the pushes are reversed
@@ -117,30 +115,25 @@ def score(
 
 def reinforcement_learning(
     model: PEMIRLModel, new: DemonstrationDataset, seed: int, settings: dict[str, Any]
-) -> ContextPolicy:
+) -> Policy:
     """A policy that reads the gate, on the true reward, with adaptation's own settings.
 
     But for one: an exit is paid for by the step that leads to it, so that the true reward is no
     function of a step's start, and trajectories for other gates cannot be scored by it.
     """
-    torch.manual_seed(seed)
-    config = adaptation_config(model, new, settings)
-    rollouts = config.rollouts // len(new)
-    policy = ContextPolicy(
-        *(model.observation_dim, 2, 2),
-        activation=nn.Tanh,
-        initial_scale=config.policy_scale,
-        learn_scale=False,
-        context_key=("task", "gate"),
+    optimization = {**settings.get("optimization", {}), "imitate_best": 0.0}
+    return train_on_true_reward(
+        *(model, new),
+        lambda scale: ContextPolicy(
+            *(model.observation_dim, 2, 2),
+            activation=nn.Tanh,
+            initial_scale=scale,
+            learn_scale=False,
+            context_key=("task", "gate"),
+        ),
+        lambda n, at, resets: environment(n, at, resets, SHIFT),
+        *(seed, {**settings, "optimization": optimization}),
     )
-    train_on_true_reward(
-        policy,
-        environment(len(new) * rollouts, seed, of_tasks(new, rollouts), SHIFT),
-        task.T,
-        dataclasses.replace(config.optimization, imitate_best=0.0),
-        rollouts=rollouts,
-    )
-    return policy
 
 
 def main() -> None:

@@ -29,7 +29,7 @@ from pemirl_trl import (
     infer,
 )
 from pemirl_trl.files import atomic_path
-from pemirl_trl.methods import PolicyOptimization, PolicyOptimizationConfig, train
+from pemirl_trl.methods import PolicyOptimization, adaptation_config, train
 from pemirl_trl.modules.model import Policy
 
 EPISODES = 10
@@ -78,35 +78,54 @@ def told(adaptation: Adaptation) -> dict[str, Any]:
 
 
 def train_on_true_reward(
-    policy: Policy,
-    env: EnvBase,
-    horizon: int,
-    optimization: PolicyOptimizationConfig,
+    model: PEMIRLModel,
+    new: DemonstrationDataset,
+    new_policy: Callable[[float], Policy],
+    environment: Callable[[int, int, SampleTasks], EnvBase],
+    seed: int,
+    settings: Mapping[str, Any],
     *,
-    rollouts: int,
-    reward: Callable[[Tensor, Tensor], Tensor] | None = None,
-    task_key: NestedKey | None = None,
-) -> None:
-    """Train a policy that reads the task, with adaptation's own settings: the oracle.
+    reward: Callable[..., Tensor] | None = None,
+    reads: Sequence[NestedKey] = (),
+) -> Policy:
+    """A policy that reads the task, on the true reward, with adaptation's own settings: the oracle.
 
     Args:
-        policy: trained in place.
-        env: whole episodes, ``rollouts`` of each task in a row.
-        horizon: T.
-        optimization: of the policy.
-        rollouts: of each task.
-        reward: of observations ``[..., S]`` and the task ``[..., P]`` to ``[..., 1]``, with
-            ``task_key``, where the task stands; None: the environment's own.
-        task_key: as said.
+        model: says which settings adaptation would have.
+        new: demonstrations of the new tasks.
+        new_policy: of the deviation (of discrete actions, the uniform share) that it begins with.
+        environment: so many episodes of a seed, with what the transform writes at reset.
+        seed: of everything random.
+        settings: that differ from the defaults.
+        reward: of what it ``reads``, the task last, to ``[..., 1]``; None: the environment's own.
+        reads: keys.
     """
+    torch.manual_seed(seed)
+    config = adaptation_config(model, new, settings)
+    rollouts = config.rollouts // len(new)
+    policy = new_policy(config.policy_scale)
     asked: dict[str, Any] = {}
-    if reward is not None and task_key is not None:
-        module = TensorDictModule(reward, ["observation", task_key], ["learned_reward"])
-        asked = {"reward": module, "task_keys": (task_key,)}
-    method = PolicyOptimization(
-        env, policy, horizon, optimization, rollouts_per_context=rollouts, **asked
+    if reward is not None:
+        module = TensorDictModule(reward, list(reads), ["learned_reward"])
+        asked = {"reward": module, "task_keys": (reads[-1],)}
+    env = environment(len(new) * rollouts, seed, of_tasks(new, rollouts))
+    train(
+        PolicyOptimization(
+            *(env, policy, model.horizon, config.optimization),
+            rollouts_per_context=rollouts,
+            **asked,
+        )
     )
-    train(method)
+    return policy
+
+
+def words(settings: Mapping[str, Any], prefix: str = "") -> list[str]:
+    """Nested settings as words of a command."""
+    found: list[str] = []
+    for name, value in settings.items():
+        nested = isinstance(value, Mapping)
+        found += words(value, f"{prefix}{name}.") if nested else [f"{prefix}{name}={value}"]
+    return found
 
 
 def result(name: str, seed: int, means: Mapping[str, float], **rest: Any) -> dict[str, Any]:

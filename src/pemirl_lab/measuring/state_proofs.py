@@ -27,7 +27,7 @@ from pemirl_lab.measuring.own_proofs import (
 )
 from pemirl_trl import ContextPolicy, DemonstrationDataset, PEMIRLModel, adapt, meta_train
 from pemirl_trl.evaluation import Actor, episode_returns
-from pemirl_trl.methods import MakeEnv, adaptation_config
+from pemirl_trl.methods import MakeEnv
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,21 @@ def measure(
     adaptation = adapt(model, without_tasks(new), task.make_changed, seed=seed, **settings)
     seconds = {"meta_training": meta_training, "adaptation": time.perf_counter() - began}
     inferred, targets = of_contexts(model, new), of_tasks(new)
-    oracle = _reinforcement_learning(task, model, new, seed, settings)
+    target = ("task", "target")
+    oracle = train_on_true_reward(
+        *(model, new),
+        lambda scale: ContextPolicy(
+            *(model.observation_dim, model.action_dim, 2),
+            activation=nn.Tanh,
+            initial_scale=scale,
+            learn_scale=False,
+            context_key=target,
+        ),
+        lambda n, at, resets: _environment(n, at, resets, task.make_changed, task.horizon),
+        *(seed, settings),
+        reward=task.true_reward,
+        reads=("observation", target),
+    )
     returns = {
         "expert": _score(task, targets, task.expert, task.make_changed),
         "random": _score(task, targets, None, task.make_changed),
@@ -108,7 +122,7 @@ def measure(
     )
 
 
-def _environment(n: int, seed: int, horizon: int, transform: Transform, make: MakeEnv) -> EnvBase:
+def _environment(n: int, seed: int, transform: Transform, make: MakeEnv, horizon: int) -> EnvBase:
     """Whole episodes of what the transform writes at reset."""
     return TransformedEnv(make(n, seed), Compose(StepCounter(horizon), transform))
 
@@ -116,37 +130,5 @@ def _environment(n: int, seed: int, horizon: int, transform: Transform, make: Ma
 def _score(task: StateTask, transform: Transform, actor: Actor, make: MakeEnv) -> list[float]:
     """True returns, one a target: the mean action, in the same episodes for all."""
     torch.manual_seed(0)
-    env = _environment(10 * EPISODES, 30_000, task.horizon, transform.clone(), make)
+    env = _environment(10 * EPISODES, 30_000, transform.clone(), make, task.horizon)
     return episode_returns(env, actor, task.horizon, episodes_per_task=EPISODES).tolist()
-
-
-def _reinforcement_learning(
-    task: StateTask,
-    model: PEMIRLModel,
-    new: DemonstrationDataset,
-    seed: int,
-    settings: dict[str, Any],
-) -> ContextPolicy:
-    """A policy that reads the target, on the true reward, with adaptation's own settings."""
-    torch.manual_seed(seed)
-    config = adaptation_config(model, new, settings)
-    rollouts = config.rollouts // len(new)
-    target = ("task", "target")
-    policy = ContextPolicy(
-        *(model.observation_dim, model.action_dim, 2),
-        activation=nn.Tanh,
-        initial_scale=config.policy_scale,
-        learn_scale=False,
-        context_key=target,
-    )
-    transform = of_tasks(new, rollouts)
-    train_on_true_reward(
-        policy,
-        _environment(len(new) * rollouts, seed, task.horizon, transform, task.make_changed),
-        task.horizon,
-        config.optimization,
-        rollouts=rollouts,
-        reward=task.true_reward,
-        task_key=target,
-    )
-    return policy
