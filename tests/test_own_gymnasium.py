@@ -14,7 +14,7 @@ from torchrl.envs.utils import check_env_specs
 
 ROOT = Path(__file__).parents[1]
 IDS = {"reacher": "Reacher-v5", "half_cheetah": "HalfCheetah-v5"}
-VARIANTS = ("reacher_action_cost", "half_cheetah_longer")
+VARIANTS = ("reacher_action_cost", "half_cheetah_action_cost")
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::FutureWarning"),

@@ -1,5 +1,6 @@
 """A model's file is compared with itself before a network is built."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -147,12 +148,20 @@ def with_family(path, change=lambda stated: stated):
     return model
 
 
-def test_the_training_family_is_kept_to_the_bit(tmp_path):
+@pytest.mark.parametrize("recovered", [0.7, None])
+def test_the_training_family_is_kept_to_the_bit(tmp_path, recovered):
     model = with_family(tmp_path / "model")
+    model.family = dataclasses.replace(model.family, recovered=recovered)
+    save_model(tmp_path / "model", model)
     family = load_model(tmp_path / "model").family
     for name, value in vars(model.family).items():
         there = getattr(family, name)
         assert torch.equal(there, value) if isinstance(value, torch.Tensor) else there == value
+
+
+def test_an_older_family_does_not_say_what_is_recovered(tmp_path):
+    with_family(tmp_path / "model", lambda s: {k: v for k, v in s.items() if k != "recovered"})
+    assert load_model(tmp_path / "model").family.recovered is None
 
 
 def test_an_older_file_says_nothing_of_its_family():
@@ -168,6 +177,9 @@ def test_an_older_file_says_nothing_of_its_family():
         (lambda s: {**s, "context_covariance": [[1.0], [2.0, 3.0]]}, "holds no numbers"),
         (lambda s: {k: v for k, v in s.items() if k != "deviation"}, "lacks the fields"),
         (lambda s: {**s, "context_distance": "far"}, "'context_distance' is"),
+        (lambda s: {**s, "context_distance": float("inf")}, "expected finite numbers"),
+        (lambda s: {**s, "recovered": "all"}, "'recovered' is"),
+        (lambda s: {**s, "recovered": float("nan")}, "expected finite numbers"),
         (lambda s: [], "is a list"),
     ],
 )

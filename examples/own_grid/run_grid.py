@@ -97,7 +97,10 @@ def run(seed: int, folder: Path, settings: Sequence[str] = (), adapting: Any = N
     return result(
         *("grid", seed, means),
         per_goal=returns,
-        **{name: said[name] for name in ("kept", "start", "tries", "learned_return", "warnings")},
+        **{
+            name: said[name]
+            for name in ("kept", "start", "exploration", "tries", "learned_return", "warnings")
+        },
         carried_over_learned_return=said["carried_over_return"],
         distances=distances(model, new),
         reward_at_goal=share_at_goal(model, new),
@@ -153,7 +156,7 @@ def reinforcement_learning(
     """A policy that reads the goal, on the true reward, with adaptation's own settings."""
     return train_on_true_reward(
         *(model, new),
-        lambda share: CategoricalPolicy(
+        lambda share, _: CategoricalPolicy(
             *(2, len(task.MOVES), 2), activation=nn.Tanh, initial_scale=share, context_key=GOAL
         ),
         lambda n, at, resets: environment(n, at, resets, TURNED),

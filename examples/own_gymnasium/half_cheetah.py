@@ -22,6 +22,8 @@ VELOCITY = 8  # the component of an observation
 NOISE = 0.1  # of the demonstrated actions, which are bounded by 1
 DEMONSTRATIONS = 400
 SETTINGS = ("preset=contrastive", f"task_space=[{VELOCITY}]")  # a body moves what the task is about
+# By name of the result; r(s, m) is in units of its own.
+ADAPTATIONS = {"half_cheetah": {}, "half_cheetah_action_cost": {"action_cost": CONTROL_COST}}
 TARGETS, ROLLOUTS = 20, 8  # of an iteration of the expert's training
 EXPERT_ITERATIONS = 150  # and half as many under the change
 

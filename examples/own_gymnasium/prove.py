@@ -1,9 +1,8 @@
 """One demonstration in, its reward out, by the commands: bodies of Gymnasium's.
 
 ``python examples/own_gymnasium/prove.py reacher 0 1 2`` writes
-``results/own_tasks/reacher/seed<n>.json`` for each seed; ``half_cheetah`` is another body, and
-``reacher_action_cost`` is Reacher with what actions cost said beside the learned reward,
-``half_cheetah_longer`` gives adaptation more iterations.
+``results/own_tasks/reacher/seed<n>.json`` for each seed, and ``reacher_action_cost`` beside it,
+where what actions cost is said beside the learned reward; ``half_cheetah`` is another body.
 Demonstrations and what ``pemirl meta_train`` and ``pemirl adapt_reward`` write go to
 ``runs/own_tasks``, where nothing of that seed may be. True returns are for this report; no learner
 reads them.
@@ -18,7 +17,8 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +32,12 @@ from pemirl_lab.measuring.own_proofs import (
     EPISODES,
     of_contexts,
     of_tasks,
+    result,
+    store,
     train_on_true_reward,
+    without_tasks,
     words,
 )
-from pemirl_lab.results import environment_facts
 from pemirl_trl import (
     ContextPolicy,
     DemonstrationDataset,
@@ -44,34 +46,26 @@ from pemirl_trl import (
     load_policy,
 )
 from pemirl_trl.evaluation import Actor, whole_episodes
-from pemirl_trl.files import atomic_path
 from pemirl_trl.modules import Standardize
 from pemirl_trl.modules.model import Policy
 from pemirl_trl.pretrained import load_model
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
 NEW = 10  # unseen tasks, with one demonstration each
-VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
-    # The weight that Reacher's true reward has; r(s, m) is in units of its own.
-    "reacher_action_cost": ("reacher", {"action_cost": 1.0}),
-    "half_cheetah_longer": ("half_cheetah", {"optimization": {"iterations": 250}}),
-}
-"""Results that are a module's, with settings of their own for ``pemirl adapt_reward``."""
 
 
 class Proof:
     """The run of one task and one seed.
 
     Args:
-        name: of the results: a module beside this one, or one of :data:`VARIANTS`.
+        name: of the module beside this one.
         seed: of demonstrations and training.
-        overrides: words for both commands, for a quick look.
+        overrides: words for all commands, for a quick look.
     """
 
     def __init__(self, name: str, seed: int, overrides: tuple[str, ...] = ()) -> None:
         self.name, self.seed, self.overrides = name, seed, overrides
-        self.module, self.adaptation = VARIANTS.get(name, (name, {}))
-        self.task = importlib.import_module(self.module)
+        self.task = importlib.import_module(name)
         self.folder = ROOT / "runs" / "own_tasks" / name / f"seed{seed}"
         self.folder.mkdir(parents=True)  # anew: seconds count
         self.horizon: int = self.environment(1, 0).base_env.task.horizon
@@ -79,17 +73,15 @@ class Proof:
         self.seconds: dict[str, float] = {}
         self.commands: list[str] = []
 
-    def __call__(self) -> dict[str, Any]:
-        """Demonstrate, meta-train, adapt; what it came to, in true returns per task."""
+    def __call__(self) -> Iterator[dict[str, Any]]:
+        """Demonstrate, meta-train, adapt in each way; what it came to, in true returns per task."""
         before, after = self.timed("experts", lambda: self.task.experts(self.seed))
         pile = self.demonstrations(self.task.DEMONSTRATIONS, 10_000 + self.seed, before)
         new = self.demonstrations(NEW, 20_000 + self.seed, before)
         without_tasks(pile).save(self.folder / "train.safetensors")
         without_tasks(new).save(self.folder / "new.safetensors")
         self.timed("meta_training", self.meta_train)
-        self.timed("adaptation", self.adapt_reward)
         model = load_model(self.folder / "trained" / "model.safetensors")
-        adapted = load_policy(self.folder / "adapted" / "policy.safetensors", model)
         oracle = self.timed("rl_with_true_reward", lambda: self.oracle(model, new))
         known = of_tasks(new)
         inferred = of_contexts(model, new)
@@ -97,15 +89,19 @@ class Proof:
             "expert": self.score(known, after),
             "random": self.score(known, None),
             "carried_over": self.score(inferred, model.policy),
-            "adapted": self.score(inferred, adapted),
             "rl_with_true_reward": self.score(known, oracle),
             "one_shot": self.score(inferred, model.policy, changed=False),
             "expert_before": self.score(known, before, changed=False),
         }
-        return self.report(scores)
+        trained = [*self.commands]
+        for name, settings in self.task.ADAPTATIONS.items():
+            self.commands = [*trained]
+            self.timed("adaptation", partial(self.adapt_reward, name, settings))
+            adapted = load_policy(self.folder / name / "policy.safetensors", model)
+            yield self.report(name, {**scores, "adapted": self.score(inferred, adapted)})
 
-    def report(self, scores: dict[str, dict[str, list[float]]]) -> dict[str, Any]:
-        """The result of the run, as it is stored."""
+    def report(self, name: str, scores: dict[str, dict[str, list[float]]]) -> dict[str, Any]:
+        """The result of one adaptation, as it is stored."""
         returns = {name: score["return"] for name, score in scores.items()}
         terms = {
             term: {name: sum(score[term]) / NEW for name, score in scores.items()}
@@ -113,28 +109,23 @@ class Proof:
             if term != "return"
         }
         means = {name: sum(each) / len(each) for name, each in returns.items()}
-        worst, best = means["carried_over"], means["rl_with_true_reward"]
-        adaptation = json.loads((self.folder / "adapted" / "adaptation.json").read_text("utf-8"))
-        return {
-            "task": f"own_tasks/{self.name}",
-            "seed": self.seed,
-            "gap_closed": (means["adapted"] - worst) / (best - worst),
-            "means": means,
-            "terms": terms,
-            "per_target": returns,
-            "commands": self.commands,
-            "adaptation": adaptation,
-            "seconds": self.seconds,
-            **environment_facts(),
-        }
+        adaptation = json.loads((self.folder / name / "adaptation.json").read_text("utf-8"))
+        return result(
+            *(name, self.seed, means),
+            terms=terms,
+            per_target=returns,
+            commands=self.commands,
+            adaptation=adaptation,
+            seconds=dict(self.seconds),
+        )
 
     def timed(self, stage: str, act: Callable[[], Any]) -> Any:
         """What the stage returns; its seconds are noted."""
         began = time.perf_counter()
-        result = act()
+        returned = act()
         self.seconds[stage] = time.perf_counter() - began
         logging.info("%s seed %d: %s %.0f s", self.name, self.seed, stage, self.seconds[stage])
-        return result
+        return returned
 
     def demonstrations(self, n: int, seed: int, expert: Expert) -> DemonstrationDataset:
         """One demonstration of each of so many tasks, with noise on the actions."""
@@ -148,27 +139,27 @@ class Proof:
             return td.set("action", (action + noise).clamp(low, high))
 
         rollouts = env.rollout(self.horizon, act)
-        return DemonstrationDataset.from_rollouts(rollouts, Provenance(self.module, seed))
+        return DemonstrationDataset.from_rollouts(rollouts, Provenance(self.name, seed))
 
     def meta_train(self) -> None:
         """``pemirl meta_train``."""
         self.pemirl(
             "meta_train",
             f"demonstrations={self.folder / 'train.safetensors'}",
-            f"env={self.module}:make_env",
+            f"env={self.name}:make_env",
             f"run_dir={self.folder / 'trained'}",
             *self.task.SETTINGS,
         )
 
-    def adapt_reward(self) -> None:
-        """``pemirl adapt_reward``."""
+    def adapt_reward(self, name: str, settings: dict[str, Any]) -> None:
+        """``pemirl adapt_reward``, in a folder of that name."""
         self.pemirl(
             "adapt_reward",
             f"model_file={self.folder / 'trained' / 'model.safetensors'}",
             f"test_demonstrations={self.folder / 'new.safetensors'}",
-            f"env={self.module}:make_changed_env",
-            f"run_dir={self.folder / 'adapted'}",
-            *words(self.adaptation),
+            f"env={self.name}:make_changed_env",
+            f"run_dir={self.folder / name}",
+            *words(settings),
         )
 
     def pemirl(self, command: str, *words: str) -> None:
@@ -204,39 +195,30 @@ class Proof:
         standardize_task = Standardize.fit(new.tasks()[self.key[1]])
         return train_on_true_reward(
             *(model, new),
-            lambda scale: ContextPolicy(
+            lambda scale, learned: ContextPolicy(
                 *(new.observation_dim, new.action_dim, standardize_task.features),
                 activation=nn.Tanh,
                 standardize=model.standardize,
                 initial_scale=scale,
-                learn_scale=False,
+                learn_scale=learned,
                 standardize_context=standardize_task,
                 context_key=self.key,
             ),
             self.environment,
-            *(self.seed, self.adaptation),
+            self.seed,
             reward=self.environment(1, 0).base_env.task.true_reward,
             reads=("observation", "action", self.key),
         )
 
 
-def without_tasks(demonstrations: DemonstrationDataset) -> DemonstrationDataset:
-    """What a learner is given: observations and actions."""
-    return DemonstrationDataset(demonstrations.observation, demonstrations.action)
-
-
 def main() -> None:
-    """A result for each seed of the command line."""
+    """Results for each seed of the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     torch.set_num_threads(1)
     name, *seeds = sys.argv[1:]
     for seed in map(int, seeds or ["0"]):
-        result = Proof(name, seed)()
-        file = ROOT / "results" / "own_tasks" / name / f"seed{seed}.json"
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_path(file) as temporary:
-            temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-        logging.info("seed %d: gap closed %.3f; %s", seed, result["gap_closed"], result["means"])
+        for found in Proof(name, seed)():
+            store(ROOT / "results" / found["task"], found)
 
 
 if __name__ == "__main__":

@@ -20,6 +20,8 @@ STIFFNESS, DAMPING = 100.0, 20.0  # N m / rad, N m s / rad; inertias are about 1
 NOISE = 0.05  # of the demonstrated actions, which are bounded by 1
 DEMONSTRATIONS = 400
 SETTINGS = ("preset=contrastive", "task_space=[6,7]")  # an arm moves what the task is about
+# By name of the result; the weight of actions is Reacher's, and r(s, m) is in units of its own.
+ADAPTATIONS = {"reacher": {}, "reacher_action_cost": {"action_cost": 1.0}}
 
 
 class Reacher(GymnasiumTask):

@@ -124,11 +124,11 @@ def reinforcement_learning(
     optimization = {**settings.get("optimization", {}), "imitate_best": 0.0}
     return train_on_true_reward(
         *(model, new),
-        lambda scale: ContextPolicy(
+        lambda scale, learned: ContextPolicy(
             *(model.observation_dim, 2, 2),
             activation=nn.Tanh,
             initial_scale=scale,
-            learn_scale=False,
+            learn_scale=learned,
             context_key=("task", "gate"),
         ),
         lambda n, at, resets: environment(n, at, resets, SHIFT),

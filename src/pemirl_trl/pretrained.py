@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -185,9 +186,9 @@ def parse_family(content: Any, sizes: Mapping[str, Any], what: str) -> TrainingF
     Raises:
         ValueError: other fields, or other than finite numbers of these sizes; names ``what``.
     """
-    numbers = {"context_distance": (int, float)}
+    numbers = {"context_distance": (int, float), "recovered": (int, float, type(None))}
     kinds = {f.name: numbers.get(f.name, list) for f in fields(TrainingFamily)}
-    given = check_fields(content, kinds, what)
+    given = check_fields(content, kinds, what, optional=["recovered"])  # an older file has none
     d, s = ModelConfig(**sizes["config"]).context_dim, sizes["observation_dim"]
     shapes: dict[str, tuple[int, ...]] = {"context_mean": (d,), "context_covariance": (d, d)}
     tensors: dict[str, Tensor] = {}
@@ -199,7 +200,11 @@ def parse_family(content: Any, sizes: Mapping[str, Any], what: str) -> TrainingF
             raise ValueError(f"{what} is damaged: {name} holds no numbers ({error})") from error
         if tensors[name].shape != shape or not torch.isfinite(tensors[name]).all():
             raise ValueError(f"{what} is damaged: expected {name} of finite numbers {list(shape)}")
-    return TrainingFamily(context_distance=float(given["context_distance"]), **tensors)
+    found = {name: given[name] for name in numbers if given.get(name) is not None}
+    if not all(math.isfinite(value) for value in found.values()):
+        raise ValueError(f"{what} is damaged: expected finite numbers, got {found}")
+    values: dict[str, Any] = {**tensors, **{name: float(value) for name, value in found.items()}}
+    return TrainingFamily(**values)
 
 
 def build_model(sizes: Mapping[str, Any], standardize: Standardize | None = None) -> PEMIRLModel:

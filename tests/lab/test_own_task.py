@@ -78,7 +78,9 @@ def test_a_task_of_ones_own_from_demonstrations_to_a_policy(pemirl, mine, capsys
     assert "step    99" in shown.out
     record = json.loads((mine / "A/adaptation.json").read_text())
     assert record["learned_return"] >= record["carried_over_return"]
-    assert set(record["tries"]) == {"fresh", "trained"}
+    ways = {f"{start}-{way}" for start in ("fresh", "trained") for way in ("wide", "narrow")}
+    assert set(record["tries"]) == ways
+    assert f"{record['start']}-{record['exploration']}" in ways
     assert (mine / "A/policy.safetensors").is_file()
     # Nobody knows a true return here, and nothing shows one.
     assert "true" not in shown.out + shown.err

@@ -1,5 +1,7 @@
 """Settings that demonstrations say, and what a user says instead."""
 
+from typing import get_args
+
 import pytest
 import torch
 
@@ -10,11 +12,13 @@ from pemirl_trl.methods import (
     MetaILConfig,
     PolicyOptimizationConfig,
     adaptation_config,
+    candidates,
     initial_policy,
     meta_training_config,
 )
 from pemirl_trl.methods.defaults import (
     LEAST_ITERATIONS,
+    Exploration,
     found_for_adaptation,
     found_for_meta_training,
     table,
@@ -147,9 +151,35 @@ def test_the_table_shows_what_is_used():
     assert ["training.iterations", "7"] in lines
     assert ["meta_il.kl_coeff", "0.001"] in lines
     assert ["training.batch.relative_log_prob", "True"] in lines
-    assert "rollouts" in table(
-        found_for_adaptation(model(), data()), adaptation_config(model(), data())
+    for way in get_args(Exploration):
+        found = found_for_adaptation(model(), data(), exploration=way)
+        config = adaptation_config(model(), data(), exploration=way)
+        lines = [line.split() for line in table(found, config).splitlines()]
+        final = config.optimization.final_scale
+        assert ["optimization.final_scale", f"{final:g}" if final else "None"] in lines
+
+
+def test_a_narrow_exploration_learns_a_smaller_deviation_and_imitates_no_best():
+    wide, narrow = (
+        adaptation_config(model(policy_scale=10.0), data(), exploration=way)
+        for way in get_args(Exploration)
     )
+    assert (wide.policy_scale, narrow.policy_scale) == (30.0, 5.0)
+    assert (wide.learn_policy_scale, narrow.learn_policy_scale) == (False, True)
+    assert narrow.optimization.final_scale is None
+    assert narrow.optimization.imitate_best == 0.0 < wide.optimization.imitate_best
+    assert narrow.optimization.iterations == wide.optimization.iterations
+    assert narrow.rollouts == wide.rollouts
+
+
+def test_choices_are_explored_in_one_way():
+    one_hot = PEMIRLModel(2, 3, 40, ModelConfig(actions="discrete", policy_scale=0.3))
+    names = [way.name for way in candidates(one_hot, choices(10), {})]
+    assert names == ["fresh-wide", "trained-wide"]
+    configs = [
+        adaptation_config(one_hot, choices(10), exploration=w) for w in get_args(Exploration)
+    ]
+    assert configs[0] == configs[1]
 
 
 def choices(count=100, horizon=40):

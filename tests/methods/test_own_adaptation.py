@@ -39,30 +39,53 @@ def test_a_policy_for_reversed_steering_is_found_and_earns_more(trained, new, ma
     carried = end(trained.policy, trained, new, make_reversed(3, 0))
     assert (reached - goals).abs().mean() < 0.35 < (carried - goals).abs().mean()
     assert len(result.history) == 18
-    assert result.env_steps == (18 + 2 * 3) * 24 * 10
+    assert result.env_steps == (18 + 4 * 3) * 24 * 10
     assert not any("return/true" in metrics for metrics in result.history)
 
 
-def test_the_start_is_what_earns_more_in_a_short_try(trained, new, make_env, make_reversed):
+WAYS = {"fresh-wide", "trained-wide", "fresh-narrow", "trained-narrow"}
+
+
+def test_the_way_is_what_earns_most_in_a_short_try(trained, new, make_env, make_reversed):
     for make in (make_env, make_reversed):
         result = adapt(trained, new, make, **QUICK)
-        assert set(result.tries) == {"fresh", "trained"}
-        assert result.start == max(result.tries, key=result.tries.get)
+        assert set(result.tries) == WAYS
+        best = max(result.tries, key=result.tries.get)
+        assert f"{result.start}-{result.exploration}" == best
+        assert f"start: {result.start}, exploration: {result.exploration}" in str(result)
     # Where nothing has changed, three iterations from anew are no match for what is there.
     assert adapt(trained, new, make_env, **QUICK).start == "trained"
 
 
-def test_a_given_start_is_not_tried(trained, new, make_env):
+@pytest.mark.parametrize(
+    ("given", "tried"),
+    [
+        ({"initial_policy": "fresh"}, {"fresh-wide", "fresh-narrow"}),
+        ({"exploration": "narrow"}, {"fresh-narrow", "trained-narrow"}),
+        ({"initial_policy": "trained", "exploration": "wide"}, set()),
+    ],
+)
+def test_what_is_given_is_not_tried_otherwise(trained, new, make_env, given, tried):
     seen = []
     result = adapt(
         trained,
         new,
         make_env,
-        initial_policy="fresh",
         on_iteration=lambda stage, *rest: seen.append(stage),
+        **given,
         **QUICK,
     )
-    assert (result.start, result.tries, set(seen)) == ("fresh", {}, {"adaptation"})
+    assert set(result.tries) == tried
+    assert set(seen) == {f"try-{name}" for name in tried} | {"adaptation"}
+    assert result.start == given.get("initial_policy", result.start)
+    assert result.exploration == given.get("exploration", result.exploration)
+
+
+def test_an_unknown_exploration_is_refused_with_the_choices(trained, new, make_env):
+    with pytest.raises(
+        ValueError, match=r"exploration 'broad'; choose one of \['wide', 'narrow'\]"
+    ):
+        adapt(trained, new, make_env, exploration="broad", **QUICK)
 
 
 def test_what_earns_less_than_the_policy_carried_over_is_not_returned(trained, new, make_env):
@@ -128,6 +151,16 @@ def test_a_model_of_an_unknown_family_is_said(trained, new, make_env):
     )
 
 
+def test_a_model_whose_contexts_did_not_say_tasks_is_said(trained, new, make_env):
+    assert trained.family.recovered > 0.85
+    few = {"rollouts": 12, "optimization": {"iterations": 1}}
+    doubtful = copy.deepcopy(trained)
+    for share, said in ((0.3, True), (trained.family.recovered, False), (None, False)):
+        doubtful.family = replace(trained.family, recovered=share)
+        warnings = adapt(doubtful, new, make_env, **few).warnings
+        assert any("(0.30 of a context is typically" in text for text in warnings) == said
+
+
 def test_demonstrations_of_another_task_are_refused_before_anything(reach, new, make_env):
     model = reach.model()
     model.horizon = 12
@@ -137,7 +170,7 @@ def test_demonstrations_of_another_task_are_refused_before_anything(reach, new, 
 
 def test_a_saved_policy_acts_as_the_returned_one(trained, new, make_env, tmp_path):
     few = {"optimization": {"iterations": 1}, "rollouts": 8}
-    adaptation = adapt(trained, new, make_env, initial_policy="fresh", **few)
+    adaptation = adapt(trained, new, make_env, initial_policy="fresh", exploration="wide", **few)
     adaptation.save(tmp_path / "policy.safetensors")
     policy = load_policy(tmp_path / "policy.safetensors", trained)
     inference, states = infer(trained, new[0]), torch.randn(5, trained.observation_dim)

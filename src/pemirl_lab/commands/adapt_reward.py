@@ -7,8 +7,8 @@
     pemirl adapt_reward model_file=M test_demonstrations=ONE env=my:make_env
 
 With ``env=`` it is an environment of your own, and the settings follow from the demonstrations; see
-``pemirl meta_train``. The start is chosen by short tries unless ``initial_policy=`` says it, and
-``adaptation.json`` tells what came out.
+``pemirl meta_train``. Short tries choose the start, unless ``initial_policy=`` says it, and how
+widely to explore, unless ``exploration=`` does; ``adaptation.json`` tells what came out.
 
 Writes ``policy.safetensors`` and the learning curve to ``run_dir``. Rewards are the learned ones;
 true returns, where the demonstrations come with their tasks, are metrics.
@@ -40,11 +40,11 @@ from pemirl_trl.methods import (
     PolicyOptimization,
     PolicyOptimizationConfig,
     adapt_in_stages,
-    adaptation_config,
+    candidates,
     initial_policy,
     objective,
 )
-from pemirl_trl.methods.defaults import found_for_adaptation, table
+from pemirl_trl.methods.defaults import Exploration
 from pemirl_trl.methods.diagnostics import Diagnostics
 from pemirl_trl.methods.loop import Method
 from pemirl_trl.modules.model import Policy
@@ -79,6 +79,7 @@ class OwnEnvironment(OwnTask):
 
     model_file: str = field(kw_only=True)
     test_demonstrations: str = field(kw_only=True)
+    exploration: Exploration | None = None
 
 
 def run_own(task: OwnEnvironment) -> Adaptation:
@@ -87,27 +88,24 @@ def run_own(task: OwnEnvironment) -> Adaptation:
     model_path = run_file(task.model_file, "meta_train")
     model, data_path = load_model(model_path), data_file(task.test_demonstrations)
     data = task.demonstrations_in(data_path)
-    config = adaptation_config(model, data, task.settings)
+    ways = candidates(model, data, task.settings, task.exploration)
     folder = task.when_begun({"model": model_path, "test demonstrations": data_path})
-    found = table(found_for_adaptation(model, data, task.settings), config)
-    say(found)
+    for way in ways:
+        say(f"{way.name}:\n{way.settings}")
 
     def stage(name: str, method: Method, /) -> None:
         folder().train(name, method, show="return/learned")
 
-    choose = "initial_policy" not in task.settings
     result = adapt_in_stages(
-        *(model, data, make_env, config, stage),
+        *(model, data, make_env, ways, stage),
         seed=task.seed,
         device=task.device,
-        choose_start=choose,
-        settings=found,
         observation_keys=task.observation_keys,
     )
     file = folder().file("policy.safetensors")
     result.save(file, {"environment": task.env})
-    told = ("kept", "start", "tries", "learned_return", "carried_over_return", "env_steps")
-    record = {name: getattr(result, name) for name in (*told, "warnings")}
+    told = ("kept", "start", "exploration", "tries", "learned_return", "carried_over_return")
+    record = {name: getattr(result, name) for name in (*told, "env_steps", "warnings")}
     folder().write_json("adaptation.json", record)
     say(f"{result}\n-> {file}")
     write_run_page(folder().path)

@@ -28,8 +28,9 @@ from pemirl_trl import (
     SampleTasks,
     infer,
 )
+from pemirl_trl.evaluation import episode_returns
 from pemirl_trl.files import atomic_path
-from pemirl_trl.methods import PolicyOptimization, adaptation_config, train
+from pemirl_trl.methods import PolicyOptimization, candidates, train
 from pemirl_trl.modules.model import Policy
 
 EPISODES = 10
@@ -69,6 +70,7 @@ def told(adaptation: Adaptation) -> dict[str, Any]:
     return {
         "kept": adaptation.kept,
         "start": adaptation.start,
+        "exploration": adaptation.exploration,
         "tries": dict(adaptation.tries),
         "learned_return": adaptation.learned_return,
         "carried_over_learned_return": adaptation.carried_over_return,
@@ -80,43 +82,51 @@ def told(adaptation: Adaptation) -> dict[str, Any]:
 def train_on_true_reward(
     model: PEMIRLModel,
     new: DemonstrationDataset,
-    new_policy: Callable[[float], Policy],
+    new_policy: Callable[[float, bool], Policy],
     environment: Callable[[int, int, SampleTasks], EnvBase],
     seed: int,
-    settings: Mapping[str, Any],
+    settings: Mapping[str, Any] | None = None,
     *,
     reward: Callable[..., Tensor] | None = None,
     reads: Sequence[NestedKey] = (),
 ) -> Policy:
     """A policy that reads the task, on the true reward, with adaptation's own settings: the oracle.
 
+    It begins afresh, once for each exploration that adaptation may choose; what earns more is kept.
+
     Args:
         model: says which settings adaptation would have.
         new: demonstrations of the new tasks.
-        new_policy: of the deviation (of discrete actions, the uniform share) that it begins with.
+        new_policy: of the deviation (of discrete actions, the uniform share) that it begins with,
+            and whether that is learned.
         environment: so many episodes of a seed, with what the transform writes at reset.
         seed: of everything random.
         settings: that differ from the defaults.
         reward: of what it ``reads``, the task last, to ``[..., 1]``; None: the environment's own.
         reads: keys.
     """
-    torch.manual_seed(seed)
-    config = adaptation_config(model, new, settings)
-    rollouts = config.rollouts // len(new)
-    policy = new_policy(config.policy_scale)
     asked: dict[str, Any] = {}
     if reward is not None:
         module = TensorDictModule(reward, list(reads), ["learned_reward"])
         asked = {"reward": module, "task_keys": (reads[-1],)}
-    env = environment(len(new) * rollouts, seed, of_tasks(new, rollouts))
-    train(
-        PolicyOptimization(
-            *(env, policy, model.horizon, config.optimization),
+    earned: dict[float, Policy] = {}
+    for way in candidates(model, new, {**(settings or {}), "initial_policy": "fresh"}):
+        torch.manual_seed(seed)
+        rollouts = way.config.rollouts // len(new)
+        policy = new_policy(way.config.policy_scale, way.config.learn_policy_scale)
+        optimization = PolicyOptimization(
+            environment(len(new) * rollouts, seed, of_tasks(new, rollouts)),
+            *(policy, model.horizon, way.config.optimization),
             rollouts_per_context=rollouts,
             **asked,
         )
-    )
-    return policy
+        train(optimization)
+        torch.manual_seed(seed)
+        env = environment(len(new) * EPISODES, seed + 1, of_tasks(new))
+        earned[float(episode_returns(env, policy, model.horizon, episodes_per_task=1).mean())] = (
+            policy
+        )
+    return earned[max(earned)]
 
 
 def words(settings: Mapping[str, Any], prefix: str = "") -> list[str]:
@@ -153,8 +163,13 @@ def write_results(folder: Path, run: Callable[[int], dict[str, Any]], seeds: Seq
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     torch.set_num_threads(1)
     for seed in map(int, seeds or ["0"]):
-        found = run(seed)
-        folder.mkdir(parents=True, exist_ok=True)
-        with atomic_path(folder / f"seed{seed}.json") as temporary:
-            temporary.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-        logging.info("seed %d: gap closed %.3f; %s", seed, found["gap_closed"], found["means"])
+        store(folder, run(seed))
+
+
+def store(folder: Path, found: Mapping[str, Any]) -> None:
+    """Write a result to ``folder/seed<n>.json``, and say what it came to."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with atomic_path(folder / f"seed{found['seed']}.json") as temporary:
+        temporary.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    shown = (found["task"], found["seed"], found["gap_closed"], found["means"])
+    logging.info("%s seed %d: gap closed %.3f; %s", *shown)

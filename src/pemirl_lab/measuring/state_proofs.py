@@ -92,11 +92,11 @@ def measure(
     target = ("task", "target")
     oracle = train_on_true_reward(
         *(model, new),
-        lambda scale: ContextPolicy(
+        lambda scale, learned: ContextPolicy(
             *(model.observation_dim, model.action_dim, 2),
             activation=nn.Tanh,
             initial_scale=scale,
-            learn_scale=False,
+            learn_scale=learned,
             context_key=target,
         ),
         lambda n, at, resets: _environment(n, at, resets, task.make_changed, task.horizon),

@@ -27,6 +27,8 @@ hundreds at a time""",
     "preset": """robust, where observations are what the task is about; contrastive, where a body or
 an object stands in between (needs task_space); paper, the published method""",
     "task_space": "which components of an observation the task is about: [0,1]",
+    "exploration": """wide, for a point that has to find another way, or narrow, for a gait that
+must not be lost; null lets short tries choose""",
     "observation_keys": """which entries make the observation, of an environment or of
 demonstrations that have several: [place,arm.angle]""",
     "discrete_actions": "n, of demonstrations whose actions are integers from 0 to n - 1",

@@ -5,6 +5,7 @@ from pemirl_trl.methods.adversarial import AdaptiveSampler, AdversarialConfig, P
 from pemirl_trl.methods.airl import AIRL, AIRLConfig
 from pemirl_trl.methods.averaging import AveragedReward
 from pemirl_trl.methods.best_trajectories import BestTrajectories
+from pemirl_trl.methods.candidates import Candidate, candidates
 from pemirl_trl.methods.collection import EpisodeCollector
 from pemirl_trl.methods.defaults import PRESETS, adaptation_config, meta_training_config
 from pemirl_trl.methods.diagnostics import Diagnostics
@@ -37,6 +38,7 @@ __all__ = [
     "AveragedReward",
     "BatchConfig",
     "BestTrajectories",
+    "Candidate",
     "Diagnostics",
     "DiscriminatorBatches",
     "EpisodeCollector",
@@ -59,6 +61,7 @@ __all__ = [
     "adapt_in_stages",
     "adaptation_config",
     "build",
+    "candidates",
     "find_task_space",
     "infer",
     "initial_policy",

@@ -53,9 +53,9 @@ def recovered_share(
     return float(1 - error / variance.clamp(min=1e-12))
 
 
-def unrecovered(share: float) -> list[str]:
-    """A warning where contexts do not say tasks."""
-    if share >= LEAST_RECOVERED:
+def unrecovered(share: float | None) -> list[str]:
+    """A warning where contexts do not say tasks; None is not known."""
+    if share is None or share >= LEAST_RECOVERED:
         return []
     return [
         "the policy, asked for the contexts of demonstrations from other starts, does what q reads "

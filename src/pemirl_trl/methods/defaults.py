@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 from pemirl_trl.configuration import typed
 from pemirl_trl.data import DemonstrationDataset
@@ -52,6 +52,13 @@ UNIFORM_SHARE, FINAL_UNIFORM_SHARE = 0.3, 0.03
 ADAPTATION_SHARES = (0.5, 0.02)
 """The same at the start and at the end of adaptation."""
 
+Exploration = Literal["wide", "narrow"]
+"""How adaptation looks for better actions.
+
+``"wide"``: the deviation falls from three times the size of actions to a tenth of it, undiscounted,
+with imitation of the best trajectories: for a point that has to find another way. ``"narrow"``: it
+starts at half of their size and is learned, discounted: a gait does not survive the other.
+"""
 Values = Mapping[str, Any]
 
 
@@ -79,7 +86,10 @@ def meta_training_config(
 
 
 def adaptation_config(
-    model: PEMIRLModel, demonstrations: DemonstrationDataset, overrides: Values | None = None
+    model: PEMIRLModel,
+    demonstrations: DemonstrationDataset,
+    overrides: Values | None = None,
+    exploration: Exploration = "wide",
 ) -> AdaptationConfig:
     """The configuration of adaptation to the reward of each of these demonstrations.
 
@@ -88,11 +98,12 @@ def adaptation_config(
             one demonstration may all be small.
         demonstrations: one of each new task.
         overrides: fields of :class:`AdaptationConfig`, as in :func:`meta_training_config`.
+        exploration: wide or narrow; of discrete actions always wide.
 
     Raises:
         ValueError: a wrong name or value of a setting.
     """
-    found = found_for_adaptation(model, demonstrations, overrides)
+    found = found_for_adaptation(model, demonstrations, overrides, exploration)
     values = merged(dataclasses.asdict(AdaptationConfig()), found, overrides or {})
     return typed(AdaptationConfig, values)
 
@@ -150,28 +161,30 @@ def found_for_meta_training(
 
 
 def found_for_adaptation(
-    model: PEMIRLModel, demonstrations: DemonstrationDataset, overrides: Values | None = None
+    model: PEMIRLModel,
+    demonstrations: DemonstrationDataset,
+    overrides: Values | None = None,
+    exploration: Exploration = "wide",
 ) -> dict[str, Any]:
     """What model and demonstrations say about adaptation; see :func:`found_for_meta_training`."""
     horizon, count = demonstrations.horizon, len(demonstrations)
     least = _between(round(18_000 / horizon), 60, 400)
     rollouts = _given(overrides or {}, ("rollouts",), count * max(4, round(least / count)))
     iterations = max(LEAST_ITERATIONS, round(ADAPTATION_STEPS / (rollouts * horizon)))
+    scale = model.config.policy_scale
+    optimization: dict[str, Any] = {"iterations": iterations}
+    found = {"rollouts": rollouts, "optimization": optimization}
     if model.config.actions == "discrete":
-        first, final, imitate_best = ADAPTATION_SHARES[0], ADAPTATION_SHARES[1], 1.0
-    else:
-        scale = model.config.policy_scale
-        # imitate_best is of a squared error in units of actions, beside standardised advantages.
-        first, final, imitate_best = 3.0 * scale, 0.1 * scale, 1.0 / scale**2
-    return {
-        "rollouts": rollouts,
-        "policy_scale": first,
-        "optimization": {
-            "iterations": iterations,
-            "final_scale": final,
-            "imitate_best": imitate_best,
-        },
-    }
+        first, final = ADAPTATION_SHARES
+        optimization |= {"final_scale": final, "imitate_best": 1.0}
+        return {"policy_scale": first, **found}
+    if exploration == "narrow":
+        trpo = {"gamma": 0.99, "lmbda": 0.97, "max_kl": 0.06}
+        optimization |= {"final_scale": None, "imitate_best": 0.0, "trpo": trpo}
+        return {"policy_scale": 0.5 * scale, "learn_policy_scale": True, **found}
+    # imitate_best is of a squared error in units of actions, beside standardised advantages.
+    optimization |= {"final_scale": 0.1 * scale, "imitate_best": 1.0 / scale**2}
+    return {"policy_scale": 3.0 * scale, **found}
 
 
 def action_size(demonstrations: DemonstrationDataset) -> float:
@@ -214,7 +227,7 @@ def table(found: Values, config: Any) -> str:
 
 
 def _shown(value: Any) -> str:
-    return str(value) if isinstance(value, str | bool) else f"{value:g}"
+    return f"{value:g}" if type(value) in (int, float) else str(value)
 
 
 def _paths(node: Values, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:

@@ -12,7 +12,9 @@ from typing import Any, Literal
 from pemirl_trl.configuration import present_device
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.adaptation import AdaptationConfig
-from pemirl_trl.methods.defaults import adaptation_config, found_for_adaptation, table
+from pemirl_trl.methods.candidates import Candidate, Start, candidates
+from pemirl_trl.methods.consistency import unrecovered
+from pemirl_trl.methods.defaults import Exploration
 from pemirl_trl.methods.environments import Episodes, MakeEnv
 from pemirl_trl.methods.inference import check_demonstrations
 from pemirl_trl.methods.loop import Metrics
@@ -24,10 +26,9 @@ from pemirl_trl.modules.model import Policy
 from pemirl_trl.sharing import save_policy
 
 LOG = logging.getLogger("pemirl_trl")
-Start = Literal["fresh", "trained"]
 
 TRY_SHARE = 1 / 6
-"""Share of the iterations that each start is tried for; the deviation shrinks as in a whole run."""
+"""Share of the iterations that each way is tried for; a deviation falls as in a whole run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,8 @@ class Adaptation:
         kept: ``"adapted"``, or ``"carried over"`` where adaptation earned less than the policy that
             meta-training ended with, which is then the one returned.
         start: what adaptation started from.
-        tries: what short tries of both starts earned; empty where the start was given.
+        exploration: how widely it looked.
+        tries: what short tries of all starts and explorations earned; empty where both were given.
         learned_return: of the policy: sum over an episode of r(s, m), mean over episodes of all
             demonstrations; mean action, the same episodes for all policies.
         carried_over_return: that of the policy that meta-training ended with.
@@ -54,6 +56,7 @@ class Adaptation:
     activation: str
     kept: Literal["adapted", "carried over"]
     start: Start
+    exploration: Exploration
     tries: Mapping[str, float]
     learned_return: float
     carried_over_return: float
@@ -75,7 +78,8 @@ class Adaptation:
         """Return the learned returns and the warnings, one a line."""
         tries = ", ".join(f"{name} {value:.2f}" for name, value in self.tries.items())
         lines = [
-            f"kept: {self.kept} (start: {self.start}" + (f"; tries: {tries})" if tries else ")"),
+            f"kept: {self.kept} (start: {self.start}, exploration: {self.exploration}"
+            + (f"; tries: {tries})" if tries else ")"),
             f"learned return: {self.learned_return:.2f} (carried over: "
             f"{self.carried_over_return:.2f}), after {self.env_steps:,} environment steps",
             *(f"warning: {text}" for text in self.warnings),
@@ -93,12 +97,14 @@ def adapt(
     on_iteration: OnIteration | None = None,
     checkpoint: str | Path | None = None,
     observation_keys: Sequence[str] | None = None,
+    exploration: Exploration | None = None,
     **overrides: Any,
 ) -> Adaptation:
     """Train a policy on the inferred reward of each demonstration, where dynamics may have changed.
 
-    It starts afresh or from the policy that meta-training ended with: whichever earns more under r
-    in a short try. The policy that is returned never earns less under r than the one carried over.
+    It starts afresh or from the policy that meta-training ended with, and explores widely or
+    narrowly: whatever earns most under r in a short try. The policy that is returned never earns
+    less under r than the one carried over.
 
     Args:
         model: encoder and reward, of :func:`meta_train` or :func:`pemirl_trl.load_model`.
@@ -109,9 +115,10 @@ def adapt(
         on_iteration: called with the stage's name, the iteration (from 1) and its metrics.
         checkpoint: folder of checkpoints; the same call resumes a training that died.
         observation_keys: as in :func:`meta_train`.
+        exploration: ``"wide"`` or ``"narrow"``, instead of what tries choose.
         **overrides: fields of :class:`pemirl_trl.methods.AdaptationConfig`, nested ones as
-            dictionaries: ``optimization={"iterations": 100}``. With ``initial_policy`` there are no
-            tries.
+            dictionaries: ``optimization={"iterations": 100}``. With ``initial_policy`` the other
+            start is not tried.
 
     Raises:
         TypeError: something else than a model, such as the name of its file.
@@ -121,18 +128,13 @@ def adapt(
     """
     check_model(model, PEMIRLModel)
     data = as_dataset(demonstrations)
-    config = adaptation_config(model, data, overrides)
-    found = table(found_for_adaptation(model, data, overrides), config)
-    LOG.info("adaptation with\n%s", found)
-    choose = "initial_policy" not in overrides
-    what = f"{config} choose={choose} seed={seed} data={digest(data)}"
+    ways = candidates(model, data, overrides, exploration)
+    what = f"{ways} seed={seed} data={digest(data)}"
     run_stage = stages(on_iteration, checkpoint, hashlib.sha256(what.encode()).hexdigest())
     return adapt_in_stages(
-        *(model, data, make_env, config, run_stage),
+        *(model, data, make_env, ways, run_stage),
         seed=seed,
         device=device,
-        choose_start=choose,
-        settings=found,
         observation_keys=observation_keys,
     )
 
@@ -141,23 +143,19 @@ def adapt_in_stages(
     model: PEMIRLModel,
     demonstrations: DemonstrationDataset,
     make_env: MakeEnv,
-    config: AdaptationConfig,
+    ways: Sequence[Candidate],
     run_stage: RunStage,
     *,
     seed: int,
     device: str = "cpu",
-    choose_start: bool,
-    settings: str = "",
     observation_keys: Sequence[str] | None = None,
 ) -> Adaptation:
     """What :func:`adapt` does, with another way to run its stages.
 
     Args:
         model, demonstrations, make_env, seed, device, observation_keys: as there.
-        config: of the adaptation.
-        run_stage: runs ``"try-fresh"``, ``"try-trained"`` and ``"adaptation"``.
-        choose_start: whether there are tries; otherwise the start is ``config.initial_policy``.
-        settings: a table of them, for the result.
+        ways: to adapt; of more than one, short tries choose.
+        run_stage: runs ``"try-fresh-wide"`` and so on, and ``"adaptation"``.
 
     Raises:
         ValueError, TrainingDiverged: as there.
@@ -165,22 +163,23 @@ def adapt_in_stages(
     demonstrations = check_demonstrations(model, demonstrations)
     episodes = Episodes(make_env, model, demonstrations, seed, observation_keys=observation_keys)
     train = PolicyTraining(
-        model, demonstrations, episodes, run_stage, config, seed, present_device(device)
+        model, demonstrations, episodes, run_stage, ways[0].config, seed, present_device(device)
     )
+    tries: dict[str, float] = {}
+    if len(ways) > 1:
+        for way in ways:
+            tried, _ = train(f"try-{way.name}", _short(way.config))
+            tries[way.name] = train.learned_return(tried)
+    best = max(ways, key=lambda way: tries.get(way.name, 0.0))
+    config = best.config
+    LOG.info("adaptation, %s, with\n%s", best.name, best.settings)
     carried = model.trained_policy(config.policy_scale)
     carried_return = train.learned_return(carried)
-    tries: dict[str, float] = {}
-    if choose_start:
-        few = max(1, round(TRY_SHARE * config.optimization.iterations))
-        short = replace(config, optimization=replace(config.optimization, iterations=few))
-        starts: tuple[Start, ...] = ("fresh", "trained")
-        for start in starts:
-            tried, _ = train(f"try-{start}", replace(short, initial_policy=start))
-            tries[start] = train.learned_return(tried)
-        config = replace(config, initial_policy=max(starts, key=lambda start: tries[start]))
     policy, activation = train("adaptation", config)
     adapted_return = train.learned_return(policy)
-    warnings = list(train.far_demonstrations())
+    warnings = train.far_demonstrations()
+    if model.family is not None:
+        warnings += unrecovered(model.family.recovered)
     kept: Literal["adapted", "carried over"] = "adapted"
     if adapted_return < carried_return:
         kept, policy, activation = "carried over", carried, "relu"
@@ -194,12 +193,18 @@ def adapt_in_stages(
         policy=policy,
         activation=activation,
         kept=kept,
-        start=config.initial_policy,
+        start=best.start,
+        exploration=best.exploration,
         tries=tries,
         learned_return=max(adapted_return, carried_return),
         carried_over_return=carried_return,
         history=tuple(train.history["adaptation"]),
         env_steps=train.env_steps,
         warnings=tuple(warnings),
-        settings=settings,
+        settings=best.settings,
     )
+
+
+def _short(config: AdaptationConfig) -> AdaptationConfig:
+    iterations = max(1, round(TRY_SHARE * config.optimization.iterations))
+    return replace(config, optimization=replace(config.optimization, iterations=iterations))

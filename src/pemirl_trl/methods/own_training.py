@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -127,7 +128,9 @@ def meta_train_in_stages(
     model.cpu()
     model.family = training_family(model, demonstrations)
     if model.config.context_dim > 0:
-        for warning in unrecovered(recovered_share(model, demonstrations, episodes, seed)):
+        share = recovered_share(model, demonstrations, episodes, seed)
+        model.family = replace(model.family, recovered=share)
+        for warning in unrecovered(share):
             LOG.warning("%s", warning)
     return model
 

@@ -61,6 +61,9 @@ class TrainingFamily:
         context_distance: the largest distance in training, in deviations.
         low, high, deviation: ``[S]``, of the observations; a constant's deviation is that of the
             model's map of observations.
+        recovered: how much of a context of training q typically finds again in what the policy does
+            with it, up to 1 (:func:`pemirl_trl.methods.consistency.recovered_share`); None where
+            that was not measured.
     """
 
     context_mean: Tensor
@@ -69,6 +72,7 @@ class TrainingFamily:
     low: Tensor
     high: Tensor
     deviation: Tensor
+    recovered: float | None = None
 
     @classmethod
     def fit(cls, contexts: Tensor, observations: Tensor, deviation: Tensor) -> Self:
