@@ -71,4 +71,4 @@ def test_the_stored_results_close_nine_tenths_of_the_gap():
 @pytest.mark.long
 def test_a_policy_for_moves_turned_around_closes_nine_tenths_of_the_gap(example, tmp_path):
     """A seed that no setting was chosen on."""
-    assert example("run_grid").run(3, tmp_path)["gap_closed"] > 0.9
+    assert example("run_grid").run(3, tmp_path).result["gap_closed"] > 0.9

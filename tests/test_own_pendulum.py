@@ -74,4 +74,5 @@ def test_the_stored_results_close_nine_tenths_of_the_gap():
 @pytest.mark.long
 def test_a_policy_for_the_reversed_motor_closes_nine_tenths_of_the_gap(example):
     """A seed that no setting was chosen on."""
-    assert prove(example("run").REVERSED, 3)["gap_closed"] >= 0.9
+    (proved,) = prove([example("run").REVERSED], 3)
+    assert proved.result["gap_closed"] >= 0.9

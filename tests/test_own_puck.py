@@ -71,4 +71,4 @@ def test_the_stored_results_close_most_of_the_gap_and_say_what_is_left():
 @pytest.mark.long
 def test_a_policy_for_reversed_pushes_closes_most_of_the_gap(example):
     """A seed that no setting was chosen on."""
-    assert example("run_puck").run(7, {}, {})["gap_closed"] >= 0.8
+    assert example("run_puck").run(7, {}, {}).result["gap_closed"] >= 0.8

@@ -26,6 +26,7 @@ from torchrl.envs import Compose, EnvBase, StepCounter, Transform, TransformedEn
 
 from pemirl_lab.measuring.own_proofs import (
     EPISODES,
+    Proved,
     distances,
     of_contexts,
     of_tasks,
@@ -49,13 +50,13 @@ from pemirl_trl.evaluation import Actor, episode_returns
 from pemirl_trl.modules.model import Policy
 
 HERE = Path(__file__).parent
-RESULTS = HERE.parents[1] / "results" / "own_tasks" / "grid"
+ROOT = HERE.parents[1]
 GOALS = 10
 GOAL = ("task", "goal")
 TURNED = -1  # every move does the opposite
 
 
-def run(seed: int, folder: Path, settings: Sequence[str] = (), adapting: Any = None) -> Any:
+def run(seed: int, folder: Path, settings: Sequence[str] = (), adapting: Any = None) -> Proved:
     """Meta-train, infer and adapt; what it came to, in true returns per goal.
 
     Args:
@@ -65,9 +66,9 @@ def run(seed: int, folder: Path, settings: Sequence[str] = (), adapting: Any = N
         adapting: settings of the adaptation that differ from the defaults, nested.
     """
     new = task.demonstrations(GOALS, seed=20_000 + seed)
-    unlabelled = {"pile": task.demonstrations(400, seed=10_000 + seed), "new": new}
-    for name, data in unlabelled.items():
-        without_tasks(data).save(folder / f"{name}.safetensors")
+    pile = without_tasks(task.demonstrations(400, seed=10_000 + seed))
+    pile.save(folder / "pile.safetensors")
+    without_tasks(new).save(folder / "new.safetensors")
     common = [f"observation_keys=[{','.join(task.KEYS)}]", f"seed={seed}"]
     model_file = folder / "meta_train" / "model.safetensors"
     trained = command(
@@ -94,7 +95,7 @@ def run(seed: int, folder: Path, settings: Sequence[str] = (), adapting: Any = N
     }
     means = {name: sum(each) / len(each) for name, each in returns.items()}
     said = json.loads((folder / "adapt" / "adaptation.json").read_text("utf-8"))
-    return result(
+    found = result(
         *("grid", seed, means),
         per_goal=returns,
         **{
@@ -108,6 +109,7 @@ def run(seed: int, folder: Path, settings: Sequence[str] = (), adapting: Any = N
         settings={"meta_train": [*settings], "adapt_reward": words(adapting or {})},
         seconds={"meta_training": trained, "adaptation": adapted},
     )
+    return Proved(found, model, pile, {"words": [*settings]} if settings else {})
 
 
 def command(*arguments: str) -> float:
@@ -166,15 +168,15 @@ def reinforcement_learning(
     )
 
 
-def in_a_folder(seed: int) -> dict[str, Any]:
+def in_a_folder(seed: int) -> list[Proved]:
     """A run whose files are not kept."""
     with tempfile.TemporaryDirectory() as folder:
-        return run(seed, Path(folder))
+        return [run(seed, Path(folder))]
 
 
 def main() -> None:
     """A result for each seed of the command line."""
-    write_results(RESULTS, in_a_folder, sys.argv[1:])
+    write_results(ROOT, in_a_folder, sys.argv[1:])
 
 
 if __name__ == "__main__":

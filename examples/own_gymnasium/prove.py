@@ -30,13 +30,14 @@ from torchrl.envs import Transform, TransformedEnv
 
 from pemirl_lab.measuring.own_proofs import (
     EPISODES,
+    Proved,
     of_contexts,
     of_tasks,
     result,
-    store,
     train_on_true_reward,
     without_tasks,
     words,
+    write_results,
 )
 from pemirl_trl import (
     ContextPolicy,
@@ -73,12 +74,13 @@ class Proof:
         self.seconds: dict[str, float] = {}
         self.commands: list[str] = []
 
-    def __call__(self) -> Iterator[dict[str, Any]]:
+    def __call__(self) -> Iterator[Proved]:
         """Demonstrate, meta-train, adapt in each way; what it came to, in true returns per task."""
         before, after = self.timed("experts", lambda: self.task.experts(self.seed))
         pile = self.demonstrations(self.task.DEMONSTRATIONS, 10_000 + self.seed, before)
         new = self.demonstrations(NEW, 20_000 + self.seed, before)
-        without_tasks(pile).save(self.folder / "train.safetensors")
+        shown = without_tasks(pile)
+        shown.save(self.folder / "train.safetensors")
         without_tasks(new).save(self.folder / "new.safetensors")
         self.timed("meta_training", self.meta_train)
         model = load_model(self.folder / "trained" / "model.safetensors")
@@ -98,7 +100,8 @@ class Proof:
             self.commands = [*trained]
             self.timed("adaptation", partial(self.adapt_reward, name, settings))
             adapted = load_policy(self.folder / name / "policy.safetensors", model)
-            yield self.report(name, {**scores, "adapted": self.score(inferred, adapted)})
+            found = self.report(name, {**scores, "adapted": self.score(inferred, adapted)})
+            yield Proved(found, model, shown, {"words": [*self.task.SETTINGS]})
 
     def report(self, name: str, scores: dict[str, dict[str, list[float]]]) -> dict[str, Any]:
         """The result of one adaptation, as it is stored."""
@@ -213,12 +216,7 @@ class Proof:
 
 def main() -> None:
     """Results for each seed of the command line."""
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
-    torch.set_num_threads(1)
-    name, *seeds = sys.argv[1:]
-    for seed in map(int, seeds or ["0"]):
-        for found in Proof(name, seed)():
-            store(ROOT / "results" / found["task"], found)
+    write_results(ROOT, lambda seed: Proof(sys.argv[1], seed)(), sys.argv[2:])
 
 
 if __name__ == "__main__":

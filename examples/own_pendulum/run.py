@@ -1,8 +1,8 @@
 """One demonstration in, its reward out: the pendulum of pendulum.py, with the library's defaults.
 
-``python examples/own_pendulum/run.py 0 1 2`` writes ``results/own_tasks/pendulum/seed<n>.json`` for
-each seed, some minutes each: the motor is reversed. ``run.py light 0 1 2`` is for a quarter of the
-mass (``pendulum_light``). True returns are for this report; no learner reads them.
+``python examples/own_pendulum/run.py 0 1 2`` writes, for each seed,
+``results/own_tasks/pendulum/seed<n>.json``, where the motor is reversed, and ``pendulum_light``
+beside it, with a quarter of the mass: some minutes each. True returns are for this report; no learner reads them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pemirl_lab.measuring.state_proofs import StateTask, prove
 from pemirl_trl.evaluation import Actor
 from pemirl_trl.methods import MakeEnv
 
-RESULTS = Path(__file__).parents[2] / "results" / "own_tasks"
+ROOT = Path(__file__).parents[2]
 
 
 def expert(motor: float, mass: float) -> Actor:
@@ -49,11 +49,8 @@ LIGHT = changed("pendulum_light", pendulum.make_light, mass=pendulum.LIGHT)
 
 
 def main() -> None:
-    """A result for each seed of the command line."""
-    light = "light" in sys.argv[1:]
-    task = LIGHT if light else REVERSED
-    seeds = sys.argv[2 if light else 1 :]
-    write_results(RESULTS / task.name, lambda seed: prove(task, seed), seeds)
+    """Two results for each seed of the command line."""
+    write_results(ROOT, lambda seed: prove([REVERSED, LIGHT], seed), sys.argv[1:])
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from torchrl.envs import Compose, EnvBase, StepCounter, Transform, TransformedEn
 
 from pemirl_lab.measuring.own_proofs import (
     EPISODES,
+    Proved,
     distances,
     of_contexts,
     result,
@@ -38,11 +39,11 @@ from pemirl_trl import (
 from pemirl_trl.evaluation import Actor, returns_per_task, whole_episodes
 from pemirl_trl.modules.model import Policy
 
-RESULTS = Path(__file__).parents[2] / "results" / "own_tasks" / "puck"
+ROOT = Path(__file__).parents[2]
 SHIFT = -1.0  # the pushes are reversed
 
 
-def run(seed: int, training: dict[str, Any], optimization: dict[str, Any]) -> dict[str, Any]:
+def run(seed: int, training: dict[str, Any], optimization: dict[str, Any]) -> Proved:
     """Meta-train, infer and adapt; what it came to, in true returns per gate.
 
     Args:
@@ -50,9 +51,10 @@ def run(seed: int, training: dict[str, Any], optimization: dict[str, Any]) -> di
         training, optimization: settings that differ from the defaults, for a quick look.
     """
     began = time.perf_counter()
-    pile = task.demonstrations(400, seed=10_000 + seed)
+    labelled = task.demonstrations(400, seed=10_000 + seed)
+    pile = without_tasks(labelled)
     new = task.demonstrations(10, seed=20_000 + seed)
-    model = meta_train(task.make, without_tasks(pile), seed=seed, **training)
+    model = meta_train(task.make, pile, seed=seed, **training)
     trained = time.perf_counter()
     adaptation = adapt(model, without_tasks(new), task.make_reversed, seed=seed, **optimization)
     seconds = {"meta_training": trained - began, "adaptation": time.perf_counter() - trained}
@@ -68,7 +70,7 @@ def run(seed: int, training: dict[str, Any], optimization: dict[str, Any]) -> di
     }
     scores = {name: score(model, inferred, *acting) for name, acting in actors.items()}
     means = {name: sum(each["returns"]) / len(new) for name, each in scores.items()}
-    return result(
+    found = result(
         *("puck", seed, means),
         scores=scores,
         demonstrated_lengths=pile.lengths.tolist(),
@@ -76,6 +78,7 @@ def run(seed: int, training: dict[str, Any], optimization: dict[str, Any]) -> di
         distances=distances(model, new),
         seconds=seconds,
     )
+    return Proved(found, model, pile, training)
 
 
 def environment(n: int, seed: int, transform: Transform, push: float) -> EnvBase:
@@ -138,7 +141,7 @@ def reinforcement_learning(
 
 def main() -> None:
     """A result for each seed of the command line."""
-    write_results(RESULTS, lambda seed: run(seed, {}, {}), sys.argv[1:])
+    write_results(ROOT, lambda seed: [run(seed, {}, {})], sys.argv[1:])
 
 
 if __name__ == "__main__":

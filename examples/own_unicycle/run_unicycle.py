@@ -19,7 +19,7 @@ from tensordict import TensorDictBase
 from pemirl_lab.measuring.own_proofs import write_results
 from pemirl_lab.measuring.state_proofs import StateTask, prove
 
-RESULTS = Path(__file__).parents[2] / "results" / "own_tasks"
+ROOT = Path(__file__).parents[2]
 
 
 def expert(td: TensorDictBase) -> TensorDictBase:
@@ -44,11 +44,10 @@ WHOLE = {"meta_il": {"part_share": 0.0, "lr": 1e-3, "lr_schedule": "constant"}}
 
 def main() -> None:
     """A result for each seed of the command line."""
-    whole = "whole" in sys.argv[1:]
+    words = [word for word in sys.argv[1:] if word != "whole"]
+    whole = len(words) < len(sys.argv[1:])
     task = replace(REVERSED, name="unicycle_whole") if whole else REVERSED
-    training = WHOLE if whole else {}
-    seeds = sys.argv[2 if whole else 1 :]
-    write_results(RESULTS / task.name, lambda seed: prove(task, seed, training), seeds)
+    write_results(ROOT, lambda seed: prove([task], seed, WHOLE if whole else {}), words)
 
 
 if __name__ == "__main__":

@@ -86,6 +86,20 @@ def test_a_task_of_ones_own_from_demonstrations_to_a_policy(pemirl, mine, capsys
     assert "true" not in shown.out + shown.err
 
 
+def test_a_card_does_not_name_the_folders_of_its_author(pemirl, mine):
+    words = [
+        word.replace("demonstrations=", f"demonstrations={mine}/", 1)
+        if word.startswith("demonstrations=")
+        else word
+        for word in TRAIN
+    ]
+    pemirl("meta_train", *words, *FEW)
+    pemirl("export_model", "model_file=R/model.safetensors", "to=shared.safetensors")
+    page = (mine / "shared.md").read_text()
+    assert f"| demonstrations | {mine}" not in page
+    assert str(mine) not in page
+
+
 def test_the_same_words_resume_and_others_are_refused(pemirl, mine, capsys):
     pemirl("meta_train", *TRAIN, *FEW)
     before = (mine / "R/model.safetensors").read_bytes()

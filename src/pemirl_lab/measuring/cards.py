@@ -66,7 +66,7 @@ class Export:
         return Card(
             domain=str(run.get("environment", run.get("env", "unknown"))),
             data_sha256=self._data_digest(folder, run),
-            settings={k: v for k, v in run.items() if k not in _NO_SETTINGS},
+            settings={k: _shared(v) for k, v in run.items() if k not in _NO_SETTINGS},
             measures=_measures(folder, read_metadata(model)["method"]),
             licence=self.licence,
             command=self.command,
@@ -85,6 +85,11 @@ class Export:
             )
         words = {name: run.get(name) for name in ("observation_keys", "discrete_actions")}
         return digest(DemonstrationDataset.load(file, **words))
+
+
+def _shared(value: Any) -> Any:
+    """A setting as others may see it: of a path into this machine's folders, the name alone."""
+    return Path(value).name if isinstance(value, str) and Path(value).is_absolute() else value
 
 
 def _measures(folder: Path, method: str) -> dict[str, float]:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +20,22 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torchrl.envs import EnvBase
 
+from pemirl_lab.measuring.cards import write_page
 from pemirl_lab.results import environment_facts
 from pemirl_trl import (
     Adaptation,
+    Card,
     DemonstrationDataset,
     InferContext,
     PEMIRLModel,
     SampleTasks,
     infer,
+    save_model,
 )
 from pemirl_trl.evaluation import episode_returns
 from pemirl_trl.files import atomic_path
 from pemirl_trl.methods import PolicyOptimization, candidates, train
+from pemirl_trl.methods.own_training import digest
 from pemirl_trl.modules.model import Policy
 
 EPISODES = 10
@@ -158,18 +163,59 @@ def result(name: str, seed: int, means: Mapping[str, float], **rest: Any) -> dic
     }
 
 
-def write_results(folder: Path, run: Callable[[int], dict[str, Any]], seeds: Sequence[str]) -> None:
-    """Run each seed of a command line, and write its result to ``folder/seed<n>.json``."""
+@dataclass(frozen=True)
+class Proved:
+    """A proof: its result, and the model it is of.
+
+    Attributes:
+        result: as its file has it.
+        model: of the meta-training.
+        demonstrations: that it was trained on, without tasks.
+        settings: of the meta-training that differ from the defaults.
+    """
+
+    result: dict[str, Any]
+    model: PEMIRLModel
+    demonstrations: DemonstrationDataset
+    settings: Mapping[str, Any]
+
+    def card(self, name: str) -> Card:
+        """The card of the model, by its name in the zoo."""
+        versions = {**self.result["versions"], "commit": self.result["commit"]}
+        return Card(
+            domain=self.result["task"],
+            data_sha256=digest(self.demonstrations),
+            settings={"seed": self.result["seed"], **self.settings},
+            measures={**self.result["means"], "gap_closed": self.result["gap_closed"]},
+            licence="MIT",
+            command=f"nox -s zoo -- {name}",
+            versions=versions,
+        )
+
+
+def write_results(
+    root: Path, run: Callable[[int], Iterable[Proved]], arguments: Sequence[str]
+) -> None:
+    """Write the results of each seed of a command line to ``root/results/<task>/seed<n>.json``.
+
+    With ``--zoo=FILE`` the model of the first of them goes there, with its card.
+    """
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     torch.set_num_threads(1)
-    for seed in map(int, seeds or ["0"]):
-        store(folder, run(seed))
+    files = [Path(a.removeprefix("--zoo=")) for a in arguments if a.startswith("--zoo=")]
+    seeds = [int(a) for a in arguments if not a.startswith("--zoo=")]
+    for seed in seeds or [0]:
+        for proved in run(seed):
+            _store(root, proved.result)
+            while files:
+                file = files.pop()
+                save_model(file, proved.model, card=proved.card(file.stem))
+                write_page(proved.card(file.stem), file)
 
 
-def store(folder: Path, found: Mapping[str, Any]) -> None:
-    """Write a result to ``folder/seed<n>.json``, and say what it came to."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with atomic_path(folder / f"seed{found['seed']}.json") as temporary:
+def _store(root: Path, found: Mapping[str, Any]) -> None:
+    file = root / "results" / found["task"] / f"seed{found['seed']}.json"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_path(file) as temporary:
         temporary.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    shown = (found["task"], found["seed"], found["gap_closed"], found["means"])
-    logging.info("%s seed %d: gap closed %.3f; %s", *shown)
+    logging.info("%s: gap closed %.3f; %s", file, found["gap_closed"], found["means"])

@@ -7,7 +7,7 @@ From demonstrations to the true returns of everybody: ``examples/own_pendulum`` 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ from torchrl.envs import Compose, EnvBase, StepCounter, Transform, TransformedEn
 
 from pemirl_lab.measuring.own_proofs import (
     EPISODES,
+    Proved,
     distances,
     of_contexts,
     of_tasks,
@@ -59,31 +60,33 @@ class StateTask:
 
 
 def prove(
-    task: StateTask,
+    tasks: Sequence[StateTask],
     seed: int,
     training: Mapping[str, Any] | None = None,
     optimization: Mapping[str, Any] | None = None,
-) -> dict[str, Any]:
-    """Meta-train, infer and adapt; what it came to, in true returns per target.
+) -> Iterator[Proved]:
+    """Meta-train once, adapt to each change; what it came to, in true returns per target.
 
     Args:
-        task: what it is about.
+        tasks: the same demonstrations, and several changes.
         seed: of demonstrations and training.
         training, optimization: settings that differ from the defaults, for a quick look.
     """
-    began = time.perf_counter()
-    model = meta_train(task.make, task.pile(seed), seed=seed, **(training or {}))
-    return measure(task, model, seed, optimization, time.perf_counter() - began)
+    began, pile = time.perf_counter(), tasks[0].pile(seed)
+    model = meta_train(tasks[0].make, pile, seed=seed, **(training or {}))
+    spent = time.perf_counter() - began
+    for task in tasks:
+        found = _measure(task, model, seed, optimization, spent)
+        yield Proved(found, model, pile, training or {})
 
 
-def measure(
+def _measure(
     task: StateTask,
     model: PEMIRLModel,
     seed: int,
-    optimization: Mapping[str, Any] | None = None,
-    meta_training: float = 0.0,
+    optimization: Mapping[str, Any] | None,
+    meta_training: float,
 ) -> dict[str, Any]:
-    """Adapt a model, and score it; ``meta_training``: the seconds that it took."""
     settings, new = dict(optimization or {}), task.demonstrations(10, 20_000 + seed)
     began = time.perf_counter()
     adaptation = adapt(model, without_tasks(new), task.make_changed, seed=seed, **settings)
