@@ -2,7 +2,8 @@
 
 ``python examples/own_pendulum/run.py 0 1 2`` writes, for each seed,
 ``results/own_tasks/pendulum/seed<n>.json``, where the motor is reversed, and ``pendulum_light``
-beside it, with a quarter of the mass: some minutes each. True returns are for this report; no learner reads them.
+beside it, with a quarter of the mass: some minutes each. True returns are for this report; no
+learner reads them.
 """
 
 from __future__ import annotations

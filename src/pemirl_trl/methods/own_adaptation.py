@@ -11,7 +11,6 @@ from typing import Any, Literal
 
 from pemirl_trl.configuration import present_device
 from pemirl_trl.data import DemonstrationDataset
-from pemirl_trl.methods.adaptation import AdaptationConfig
 from pemirl_trl.methods.candidates import Candidate, Start, candidates
 from pemirl_trl.methods.consistency import unrecovered
 from pemirl_trl.methods.defaults import Exploration
@@ -165,17 +164,12 @@ def adapt_in_stages(
     train = PolicyTraining(
         model, demonstrations, episodes, run_stage, ways[0].config, seed, present_device(device)
     )
-    tries: dict[str, float] = {}
-    if len(ways) > 1:
-        for way in ways:
-            tried, _ = train(f"try-{way.name}", _short(way.config))
-            tries[way.name] = train.learned_return(tried)
+    tries = _tries(ways, train)
     best = max(ways, key=lambda way: tries.get(way.name, 0.0))
-    config = best.config
     LOG.info("adaptation, %s, with\n%s", best.name, best.settings)
-    carried = model.trained_policy(config.policy_scale)
+    carried = model.trained_policy(best.config.policy_scale)
     carried_return = train.learned_return(carried)
-    policy, activation = train("adaptation", config)
+    policy, activation = train("adaptation", best.config)
     adapted_return = train.learned_return(policy)
     warnings = train.far_demonstrations()
     if model.family is not None:
@@ -205,6 +199,15 @@ def adapt_in_stages(
     )
 
 
-def _short(config: AdaptationConfig) -> AdaptationConfig:
-    iterations = max(1, round(TRY_SHARE * config.optimization.iterations))
-    return replace(config, optimization=replace(config.optimization, iterations=iterations))
+def _tries(ways: Sequence[Candidate], train: PolicyTraining) -> dict[str, float]:
+    """What a short training of each way earns; nothing where there is one way."""
+    if len(ways) == 1:
+        return {}
+    earned = {}
+    for way in ways:
+        optimization = way.config.optimization
+        iterations = max(1, round(TRY_SHARE * optimization.iterations))
+        short = replace(way.config, optimization=replace(optimization, iterations=iterations))
+        tried, _ = train(f"try-{way.name}", short)
+        earned[way.name] = train.learned_return(tried)
+    return earned
