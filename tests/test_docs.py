@@ -145,8 +145,11 @@ def snippets_of(page):
     return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL)
 
 
-# The README's need the repository's data: tests/test_readme.py runs them.
-@pytest.mark.parametrize("page", [n for n in NAMES if snippets_of(n) and n != "README.md"])
+# These need files: tests/test_readme.py and tests/test_tutorial.py run them.
+OTHERWISE_RUN = ("README.md", "docs/tutorial.md")
+
+
+@pytest.mark.parametrize("page", [n for n in NAMES if snippets_of(n) and n not in OTHERWISE_RUN])
 def test_snippets_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import torch
@@ -112,3 +113,15 @@ def demonstrations(n: int, seed: int) -> DemonstrationDataset:
         return td.set("action", torque + torch.randn(n, 1, generator=generator))
 
     return DemonstrationDataset.from_rollouts(env.rollout(T, act), Provenance("own_pendulum", seed))
+
+
+def main() -> None:
+    """Write what docs/tutorial.md records: demonstrations to train on, and ten of new targets."""
+    new = demonstrations(10, seed=1)
+    new.save("known.safetensors")  # with the targets, for the check at the end alone
+    dataclasses.replace(new, task=None).save("new.safetensors")
+    dataclasses.replace(demonstrations(400, seed=0), task=None).save("train.safetensors")
+
+
+if __name__ == "__main__":
+    main()

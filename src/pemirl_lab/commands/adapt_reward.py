@@ -90,8 +90,8 @@ def run_own(task: OwnEnvironment) -> Adaptation:
     data = task.demonstrations_in(data_path)
     ways = candidates(model, data, task.settings, task.exploration)
     folder = task.when_begun({"model": model_path, "test demonstrations": data_path})
-    for way in ways:
-        say(f"{way.name}:\n{way.settings}")
+    for exploration, found in {way.exploration: way.settings for way in ways}.items():
+        say(f"exploration {exploration}:\n{found}")
 
     def stage(name: str, method: Method, /) -> None:
         folder().train(name, method, show="return/learned")
