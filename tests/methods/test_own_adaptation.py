@@ -102,6 +102,26 @@ def test_what_earns_less_than_the_policy_carried_over_is_not_returned(trained, n
     torch.testing.assert_close(kept, end(trained.policy, trained, new, env))
 
 
+def test_a_policy_that_acts_much_harder_than_was_demonstrated_is_said(trained, new, make_env):
+    """Of actions as the environment clamps them; half of a size is a quarter of its square."""
+
+    def said(demonstrations):
+        episodes = policy_training.Episodes(make_env, trained, demonstrations, 0)
+        training = policy_training.PolicyTraining(
+            *(trained, demonstrations, episodes, lambda *stage: None), AdaptationConfig(), 0
+        )
+        return training.hard_actions(trained.policy)
+
+    assert said(new) == []
+    gentle = copy.deepcopy(new)
+    gentle.action[:] = 0.5 * new.action.clamp(-1, 1)
+    (warning,) = said(gentle)
+    ratio = float(warning.split(" times")[0].split()[-1])
+    assert 2.5 < ratio < 6
+    states = replace(new, action=new.action[..., :0])
+    assert said(states) == []
+
+
 def test_policies_are_compared_in_the_same_episodes(trained, new, make_env):
     episodes = policy_training.Episodes(make_env, trained, new, 0)
     training = policy_training.PolicyTraining(

@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from torchrl.data.tensor_specs import ContinuousBox
 
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.evaluation import whole_episodes
@@ -17,6 +18,7 @@ from pemirl_trl.methods.loop import Metrics
 from pemirl_trl.methods.policy_optimization import PolicyOptimization
 from pemirl_trl.methods.stages import RunStage
 from pemirl_trl.modules import PEMIRLModel
+from pemirl_trl.modules.action_cost import squared_action
 from pemirl_trl.modules.family import FAR
 from pemirl_trl.modules.model import Policy
 from pemirl_trl.transforms import InferContext
@@ -27,6 +29,11 @@ JUDGED_SEED = 100_003
 """Added to the seed: policies are compared in episodes that none was trained on."""
 FAR_SHARE = 0.05
 """Share of the steps on which r is asked far from its training that is worth a warning."""
+
+
+HARD = 1.5
+"""Times the demonstrator's squared actions from which a policy's are worth a word (docs/proofs.md:
+the two tasks on which a cost of actions was missing had 1.9 and 5)."""
 
 
 class PolicyTraining:
@@ -103,6 +110,7 @@ class PolicyTraining:
             env = self._episodes(count * each, seed, self._infer(each))
             rollouts = whole_episodes(env, policy, self.model.horizon)
             objective(self.model, self._config, env)(rollouts)
+            self._action_space = env.action_spec.space
             env.close(raise_if_closed=False)  # a collector may have closed it
         return rollouts
 
@@ -149,6 +157,29 @@ class PolicyTraining:
             f"training deviations outside of what was demonstrated (up to "
             f"{float(worst.max()):.0f}, component {read[int(worst.argmax())]} of the "
             "observation): r was not trained there"
+        ]
+
+    def hard_actions(self, policy: Policy) -> list[str]:
+        """A word where a policy acts much harder than the demonstrator did; of choices, none."""
+        demonstrated = self.demonstrations
+        if demonstrated.action_dim == 0:
+            return []
+        rollouts = self._rollouts(policy)
+        space = self._action_space  # of the environment that has just rolled out
+        if not isinstance(space, ContinuousBox):
+            return []
+        bounds = (space.low[0], space.high[0])
+        spent, shown = (
+            squared_action(each["action"], bounds, each.get("absorbing", None)).sum(1).mean()
+            for each in (rollouts, demonstrated.trajectories())
+        )
+        ratio = float(spent / shown.clamp(min=1e-12))
+        if ratio <= HARD:
+            return []
+        return [
+            f"the policy acts {ratio:.1f} times as hard as the demonstrators did (squares of "
+            "actions): r is of states, and what acting costs is not in it. Where it has a price, "
+            "give action_cost, and raise it until they act alike"
         ]
 
 

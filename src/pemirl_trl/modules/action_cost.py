@@ -64,10 +64,21 @@ class ActionCost(TensorDictModuleBase):
             MissingKeyError: the batch lacks what the reward reads, or the action.
         """
         action = read(tensordict, "action", "ActionCost")
-        spent = action.clamp(*self.bounds).square().sum(-1, keepdim=True)
-        absorbing = tensordict.get("absorbing", None)
-        if absorbing is not None:
-            spent = torch.where(absorbing.unsqueeze(-1), 0.0, spent)
+        spent = squared_action(action, self.bounds, tensordict.get("absorbing", None))
         states = tensordict.select(*self.in_keys[:-1])
         reward = self.inner(states)["learned_reward"]
         return tensordict.set("learned_reward", reward - self.cost * spent)
+
+
+def squared_action(
+    action: Tensor, bounds: tuple[Tensor, Tensor], absorbing: Tensor | None = None
+) -> Tensor:
+    """|a|^2 of actions ``[..., A]`` as the environment clamps them, 0 after an end: ``[..., 1]``.
+
+    Args:
+        action: what was asked for.
+        bounds: ``(low, high)`` ``[A]``.
+        absorbing: ``[...]``, where a step begins after an end.
+    """
+    spent = action.clamp(*bounds).square().sum(-1, keepdim=True)
+    return spent if absorbing is None else torch.where(absorbing.unsqueeze(-1), 0.0, spent)
