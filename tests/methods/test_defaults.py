@@ -176,6 +176,8 @@ def test_choices_are_explored_in_one_way():
     one_hot = PEMIRLModel(2, 3, 40, ModelConfig(actions="discrete", policy_scale=0.3))
     names = [way.name for way in candidates(one_hot, choices(10), {})]
     assert names == ["fresh-wide", "trained-wide"]
+    with pytest.raises(ValueError, match=r"'narrow'; choose one of \['wide'\]"):
+        candidates(one_hot, choices(10), {}, "narrow")
     configs = [
         adaptation_config(one_hot, choices(10), exploration=w) for w in get_args(Exploration)
     ]

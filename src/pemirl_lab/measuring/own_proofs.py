@@ -114,7 +114,7 @@ def train_on_true_reward(
     if reward is not None:
         module = TensorDictModule(reward, list(reads), ["learned_reward"])
         asked = {"reward": module, "task_keys": (reads[-1],)}
-    earned: dict[float, Policy] = {}
+    trained: list[tuple[float, Policy]] = []
     for way in candidates(model, new, {**(settings or {}), "initial_policy": "fresh"}):
         torch.manual_seed(seed)
         rollouts = way.config.rollouts // len(new)
@@ -128,10 +128,9 @@ def train_on_true_reward(
         train(optimization)
         torch.manual_seed(seed)
         env = environment(len(new) * EPISODES, seed + 1, of_tasks(new))
-        earned[float(episode_returns(env, policy, model.horizon, episodes_per_task=1).mean())] = (
-            policy
-        )
-    return earned[max(earned)]
+        returns = episode_returns(env, policy, model.horizon, episodes_per_task=1)
+        trained.append((float(returns.mean()), policy))
+    return max(trained, key=lambda pair: pair[0])[1]
 
 
 def words(settings: Mapping[str, Any], prefix: str = "") -> list[str]:

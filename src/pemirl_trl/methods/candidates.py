@@ -60,12 +60,12 @@ def candidates(
         ValueError: a wrong name or value of a setting, or of the exploration.
     """
     ways: tuple[Exploration, ...] = get_args(Exploration)
+    if model.config.actions == "discrete":
+        ways = ("wide",)
     if exploration is not None:
         if exploration not in ways:
             raise ValueError(f"unknown exploration {exploration!r}; choose one of {[*ways]}")
         ways = (exploration,)
-    elif model.config.actions == "discrete":
-        ways = ("wide",)
     given = adaptation_config(model, demonstrations, overrides, ways[0])  # refuses what is wrong
     starts: tuple[Start, ...] = get_args(Start)
     if "initial_policy" in overrides:
