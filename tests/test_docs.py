@@ -86,6 +86,8 @@ def check(words):
     command, *given = words
     assert command in COMMANDS, f"no command {command}"
     if is_own(given):  # on an environment of the user's own
+        if {"--help", "--cfg"} & {*given}:
+            return
         module = importlib.import_module(f"pemirl_lab.commands.{command}")
         parse_words(given, module.OwnEnvironment, rest=True)
         return

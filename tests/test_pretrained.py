@@ -148,10 +148,10 @@ def with_family(path, change=lambda stated: stated):
     return model
 
 
-@pytest.mark.parametrize("recovered", [0.7, None])
-def test_the_training_family_is_kept_to_the_bit(tmp_path, recovered):
+@pytest.mark.parametrize("measured", [0.7, None])
+def test_the_training_family_is_kept_to_the_bit(tmp_path, measured):
     model = with_family(tmp_path / "model")
-    model.family = dataclasses.replace(model.family, recovered=recovered)
+    model.family = dataclasses.replace(model.family, recovered=measured, outdone=measured)
     save_model(tmp_path / "model", model)
     family = load_model(tmp_path / "model").family
     for name, value in vars(model.family).items():
@@ -159,9 +159,11 @@ def test_the_training_family_is_kept_to_the_bit(tmp_path, recovered):
         assert torch.equal(there, value) if isinstance(value, torch.Tensor) else there == value
 
 
-def test_an_older_family_does_not_say_what_is_recovered(tmp_path):
-    with_family(tmp_path / "model", lambda s: {k: v for k, v in s.items() if k != "recovered"})
-    assert load_model(tmp_path / "model").family.recovered is None
+def test_an_older_family_does_not_say_what_was_measured(tmp_path):
+    new = ("recovered", "outdone")
+    with_family(tmp_path / "model", lambda s: {k: v for k, v in s.items() if k not in new})
+    family = load_model(tmp_path / "model").family
+    assert (family.recovered, family.outdone) == (None, None)
 
 
 def test_an_older_file_says_nothing_of_its_family():

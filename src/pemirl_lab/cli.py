@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
 from collections.abc import Mapping, Sequence
 from ctypes.util import find_library
@@ -61,6 +62,10 @@ Completion, also of values: eval "$(pemirl -sc install=bash)"
 def main() -> None:
     """Entry point of the console command."""
     arguments = sys.argv[1:]
+    if {"-h", "--help"} & set(arguments) and hasattr(signal, "SIGPIPE"):
+        signal.signal(
+            signal.SIGPIPE, signal.SIG_DFL
+        )  # help into a pager that is left, no traceback
     if not arguments or arguments[0] in ("-h", "--help"):
         sys.stdout.write(usage())
     elif arguments[0] == "--version":

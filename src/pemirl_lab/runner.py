@@ -49,6 +49,10 @@ def run(command: str, arguments: Sequence[str], what: str) -> None:
     if command == "reproduce":
         given = _expanded(given)
     if {"-h", "--help"} & set(given):
+        if command in OWN_TASK:
+            what += (
+                f"; of an environment of your own: pemirl {command} env=my_module:make_env --help"
+            )
         quoted = what.replace("'", "\\'")
         header = f"hydra.help.header='pemirl {command}: {quoted}'"
         given = [header, *(text for text in given if text not in ("-h", "--help")), "--help"]
@@ -92,8 +96,12 @@ def run_own(command: str, given: Sequence[str]) -> None:
         say(help_on_own(command, module))
         return
     torch.set_num_threads(1)  # as in execute
+    words = [text for text in given if text not in ("--cfg", "-c", "job")]
     try:
-        task = parse_words(given, module.OwnEnvironment, rest=True)
+        task = parse_words(words, module.OwnEnvironment, rest=True)
+        if len(words) < len(given):  # what it would run, without running it
+            say(module.settings_found(task) if hasattr(module, "settings_found") else f"{task}")
+            return
         _resumable([command, *given], task.run_dir, lambda: module.run_own(task))
     except (ValueError, TypeError, ImportError) as error:
         if not _is_ours(error):

@@ -186,9 +186,11 @@ def parse_family(content: Any, sizes: Mapping[str, Any], what: str) -> TrainingF
     Raises:
         ValueError: other fields, or other than finite numbers of these sizes; names ``what``.
     """
-    numbers = {"context_distance": (int, float), "recovered": (int, float, type(None))}
+    measured = ("recovered", "outdone")
+    numbers: dict[str, tuple[type, ...]] = {"context_distance": (int, float)}
+    numbers |= dict.fromkeys(measured, (int, float, type(None)))
     kinds = {f.name: numbers.get(f.name, list) for f in fields(TrainingFamily)}
-    given = check_fields(content, kinds, what, optional=["recovered"])  # an older file has none
+    given = check_fields(content, kinds, what, optional=measured)  # an older file has none
     d, s = ModelConfig(**sizes["config"]).context_dim, sizes["observation_dim"]
     shapes: dict[str, tuple[int, ...]] = {"context_mean": (d,), "context_covariance": (d, d)}
     tensors: dict[str, Tensor] = {}

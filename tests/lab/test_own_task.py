@@ -86,6 +86,13 @@ def test_a_task_of_ones_own_from_demonstrations_to_a_policy(pemirl, mine, capsys
     assert "true" not in shown.out + shown.err
 
 
+def test_what_would_run_is_shown_without_running_it(pemirl, mine, capsys):
+    pemirl("meta_train", *TRAIN, *FEW, "--cfg", "job")
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["training.rollouts_per_context", "2"] in lines
+    assert not (mine / "R").exists()
+
+
 def test_a_card_does_not_name_the_folders_of_its_author(pemirl, mine):
     words = [
         word.replace("demonstrations=", f"demonstrations={mine}/", 1)

@@ -176,9 +176,14 @@ def test_a_model_whose_contexts_did_not_say_tasks_is_said(trained, new, make_env
     few = {"rollouts": 12, "optimization": {"iterations": 1}}
     doubtful = copy.deepcopy(trained)
     for share, said in ((0.3, True), (trained.family.recovered, False), (None, False)):
-        doubtful.family = replace(trained.family, recovered=share)
+        doubtful.family = replace(trained.family, recovered=share, outdone=None)
         warnings = adapt(doubtful, new, make_env, **few).warnings
         assert any("(0.30 of a context is typically" in text for text in warnings) == said
+
+
+def test_a_function_that_takes_no_seed_is_refused_in_words(trained, new, make_env):
+    with pytest.raises(TypeError, match=r"it is called as make_env\(num_envs, seed\)"):
+        adapt(trained, new, lambda num_envs: make_env(num_envs, 0))
 
 
 def test_demonstrations_of_another_task_are_refused_before_anything(reach, new, make_env):

@@ -17,6 +17,7 @@ true returns, where the demonstrations come with their tasks, are metrics.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import field
 
 import torch
@@ -37,6 +38,7 @@ from pemirl_lab.runs.settings import Settings
 from pemirl_trl import Adaptation, PEMIRLModel
 from pemirl_trl.configuration import CHECKED
 from pemirl_trl.methods import (
+    Candidate,
     PolicyOptimization,
     PolicyOptimizationConfig,
     adapt_in_stages,
@@ -82,6 +84,18 @@ class OwnEnvironment(OwnTask):
     exploration: Exploration | None = None
 
 
+def settings_found(task: OwnEnvironment) -> str:
+    """Tables of the settings that follow from the demonstrations, by exploration."""
+    model = load_model(run_file(task.model_file, "meta_train"))
+    data = task.demonstrations_in(data_file(task.test_demonstrations))
+    return _tables(candidates(model, data, task.settings, task.exploration))
+
+
+def _tables(ways: Sequence[Candidate]) -> str:
+    by_exploration = {way.exploration: way.settings for way in ways}
+    return "\n".join(f"exploration {name}:\n{found}" for name, found in by_exploration.items())
+
+
 def run_own(task: OwnEnvironment) -> Adaptation:
     """Adapt in an environment of the user's own; there is no ground truth to show."""
     make_env = load_make_env(task.env)
@@ -90,8 +104,7 @@ def run_own(task: OwnEnvironment) -> Adaptation:
     data = task.demonstrations_in(data_path)
     ways = candidates(model, data, task.settings, task.exploration)
     folder = task.when_begun({"model": model_path, "test demonstrations": data_path})
-    for exploration, found in {way.exploration: way.settings for way in ways}.items():
-        say(f"exploration {exploration}:\n{found}")
+    say(_tables(ways))
 
     def stage(name: str, method: Method, /) -> None:
         folder().train(name, method, show="return/learned")
@@ -151,7 +164,8 @@ def adapt(
     reward, keys, optimization = _objective(settings, model, name, env, true_reward)
     diagnostics = None
     if not true_reward:
-        diagnostics = Diagnostics(model, demonstrations.trajectories(), rollouts)
+        shown = demonstrations.trajectories()
+        diagnostics = Diagnostics(model, shown, rollouts, reward_is_learned=False)
     method = PolicyOptimization(
         env,
         policy,

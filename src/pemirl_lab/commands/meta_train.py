@@ -49,6 +49,7 @@ from pemirl_trl.methods import (
     start_from,
     training_family,
 )
+from pemirl_trl.methods.consistency import measured
 from pemirl_trl.methods.defaults import found_for_meta_training, table
 from pemirl_trl.methods.loop import Method
 from pemirl_trl.methods.worker_collection import shares_of
@@ -82,6 +83,13 @@ class OwnEnvironment(OwnTask):
     task_space: Sequence[Index] | None = None
 
 
+def settings_found(task: OwnEnvironment) -> str:
+    """A table of the settings that follow from the demonstrations, with the values in use."""
+    data = task.demonstrations_in(data_file(task.demonstrations))
+    config = meta_training_config(data, task.preset, task.settings)
+    return table(found_for_meta_training(data, task.preset, task.settings), config)
+
+
 def run_own(task: OwnEnvironment) -> PEMIRLModel:
     """Meta-train on an environment of the user's own; there is no ground truth to show."""
     make_env = load_make_env(task.env)
@@ -107,6 +115,8 @@ def run_own(task: OwnEnvironment) -> PEMIRLModel:
     facts = {"method": task.preset, "env_steps": str(steps * config.training.iterations)}
     file = folder().file("model.safetensors")
     save_model(file, model, facts)
+    if model.family is not None and (found := measured(model.family)):
+        say(found)
     say(f"meta-trained on {steps * config.training.iterations:,} environment steps -> {file}")
     write_run_page(folder().path)
     return model

@@ -185,7 +185,14 @@ class RunFolder:
         )
         every = min(self.checkpoint_every, method.iterations)
         health = _health_log(self.path, stage)
-        bar = tqdm(total=method.iterations, desc=f"{stage:<14}", unit="it", file=sys.stderr)
+        often = 0.1 if sys.stderr.isatty() else 30.0  # s; a file does not overwrite its lines
+        bar = tqdm(
+            total=method.iterations,
+            desc=f"{stage:<14}",
+            unit="it",
+            file=sys.stderr,
+            mininterval=often,
+        )
         start, steps_at_start = time.perf_counter(), None
 
         def report(iteration: int, metrics: Metrics) -> None:

@@ -32,12 +32,19 @@ class Diagnostics:
         demonstrations: batch size ``[J]``, leaves ``[J, T, ...]``; those that the rollouts'
             ``demonstration`` counts.
         rollouts_per_context: K; consecutive rollouts that share a context.
+        reward_is_learned: whether r is still being trained. Where it is not, nothing is measured
+            that judges r by the states of a policy: one that flies off makes any r look blind.
     """
 
     def __init__(
-        self, model: PEMIRLModel, demonstrations: TensorDictBase, rollouts_per_context: int
+        self,
+        model: PEMIRLModel,
+        demonstrations: TensorDictBase,
+        rollouts_per_context: int,
+        *,
+        reward_is_learned: bool = True,
     ) -> None:
-        self.model = model
+        self.model, self._reward_is_learned = model, reward_is_learned
         self.demonstrations = demonstrations = demonstrations.to(device_of(model))
         self.rollouts_per_context = rollouts_per_context
         family, observed = model.family, demonstrations["observation"].flatten(0, -2)
@@ -97,7 +104,7 @@ class Diagnostics:
             "outside/share": outside.float().mean(),
             "outside/rewarded": (outside & (own > demonstrated[task])).float().mean(),
         }
-        if self.model.config.context_dim > 0 and count > 1:
+        if self._reward_is_learned and self.model.config.context_dim > 0 and count > 1:
             shift = 1 + torch.arange(len(rows)) % (count - 1)  # each row meets another task's m
             other = self._r(steps, context[(task + shift) % count])
             metrics["context/in_reward"] = dependence_on_context(own, other)

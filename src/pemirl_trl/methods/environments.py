@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -71,6 +72,7 @@ class Episodes:
         *,
         observation_keys: Sequence[str] | None = None,
     ) -> None:
+        _check_signature(make_env)
         self._make_env, self._horizon = make_env, model.horizon
         self._absorbing = model.config.absorbing
         self._observation_keys = observation_keys
@@ -92,6 +94,15 @@ class Episodes:
     def _whole(self, num_envs: int, seed: int) -> EnvBase:
         env = _batched(self._make_env, num_envs, seed, self._horizon, self._observation_keys)
         return _transformed(env, AbsorbingState()) if self._absorbing else env
+
+
+def _check_signature(make_env: MakeEnv) -> None:
+    try:
+        inspect.signature(make_env).bind(1, 0)
+    except TypeError as error:
+        raise TypeError(
+            f"got make_env={make_env!r}: {error}; it is called as make_env(num_envs, seed)"
+        ) from error
 
 
 def _warn_of_actions(env: EnvBase, demonstrations: DemonstrationDataset) -> None:

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pemirl_trl.configuration import present_device
 from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.methods.candidates import Candidate, Start, candidates
-from pemirl_trl.methods.consistency import unrecovered
+from pemirl_trl.methods.consistency import doubts
 from pemirl_trl.methods.defaults import Exploration
 from pemirl_trl.methods.environments import Episodes, MakeEnv
 from pemirl_trl.methods.inference import check_demonstrations
@@ -173,7 +173,7 @@ def adapt_in_stages(
     adapted_return = train.learned_return(policy)
     warnings = train.far_demonstrations()
     if model.family is not None:
-        warnings += unrecovered(model.family.recovered)
+        warnings += doubts(model.family)
     kept: Literal["adapted", "carried over"] = "adapted"
     if adapted_return < carried_return:
         kept, policy, activation = "carried over", carried, "relu"

@@ -13,7 +13,7 @@ import torch
 
 from pemirl_trl.configuration import present_device
 from pemirl_trl.data import DemonstrationDataset, examine
-from pemirl_trl.methods.consistency import recovered_share, unrecovered
+from pemirl_trl.methods.consistency import doubts, measured, outdone_share, recovered_share
 from pemirl_trl.methods.defaults import found_for_meta_training, meta_training_config, table
 from pemirl_trl.methods.early_ends import for_training
 from pemirl_trl.methods.environments import Episodes, MakeEnv
@@ -128,10 +128,12 @@ def meta_train_in_stages(
     model.cpu()
     model.family = training_family(model, demonstrations)
     if model.config.context_dim > 0:
-        share = recovered_share(model, demonstrations, episodes, seed)
-        model.family = replace(model.family, recovered=share)
-        for warning in unrecovered(share):
-            LOG.warning("%s", warning)
+        recovered = recovered_share(model, demonstrations, episodes, seed)
+        outdone = outdone_share(model, demonstrations)
+        model.family = replace(model.family, recovered=recovered, outdone=outdone)
+        LOG.info("%s", measured(model.family))
+        for doubt in doubts(model.family):
+            LOG.warning("%s", doubt)
     return model
 
 

@@ -78,6 +78,7 @@ class PolicyTraining:
         policy, activation = initial_policy(self.model.to(self._device), config)
         policy.to(self._device)
         env = self._episodes(count * rollouts, self.seed, self._infer(rollouts))
+        trajectories = self.demonstrations.trajectories()
         optimization = PolicyOptimization(
             env,
             policy,
@@ -85,7 +86,7 @@ class PolicyTraining:
             config.optimization,
             rollouts_per_context=rollouts,
             reward=objective(self.model, config, env),
-            diagnostics=Diagnostics(self.model, self.demonstrations.trajectories(), rollouts),
+            diagnostics=Diagnostics(self.model, trajectories, rollouts, reward_is_learned=False),
         )
         method = _Recorded(optimization)
         self._run_stage(stage, method)

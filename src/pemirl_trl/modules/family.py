@@ -61,9 +61,9 @@ class TrainingFamily:
         context_distance: the largest distance in training, in deviations.
         low, high, deviation: ``[S]``, of the observations; a constant's deviation is that of the
             model's map of observations.
-        recovered: how much of a context of training q typically finds again in what the policy does
-            with it, up to 1 (:func:`pemirl_trl.methods.consistency.recovered_share`); None where
-            that was not measured.
+        recovered, outdone: what was measured of the trained model without labels
+            (:func:`pemirl_trl.methods.consistency.recovered_share` and ``outdone_share``); None
+            where that was not.
     """
 
     context_mean: Tensor
@@ -73,6 +73,7 @@ class TrainingFamily:
     high: Tensor
     deviation: Tensor
     recovered: float | None = None
+    outdone: float | None = None
 
     @classmethod
     def fit(cls, contexts: Tensor, observations: Tensor, deviation: Tensor) -> Self:
