@@ -112,8 +112,9 @@ def doubts(family: TrainingFamily) -> list[str]:
         found.append(
             f"under the reward of a demonstration {100 * family.outdone:.1f} % of the others earn "
             f"more than it does (above {100 * MOST_OUTDONE:g} % is a sign): r is blunt, or highest "
-            "beside what was shown, and policies that are trained on it miss by as much. Give r "
-            "more of training.iterations (docs/faq.md)"
+            "beside what was shown, and policies that are trained on it miss by as much. A larger "
+            "and faster r is sharper: model.reward_hidden=[128,128] training.reward_lr=0.003 "
+            "training.final_reward_lr=0.0003 (docs/faq.md)"
         )
     if family.recovered is not None and family.recovered < LEAST_RECOVERED:
         wrong = (
