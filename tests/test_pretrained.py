@@ -151,7 +151,9 @@ def with_family(path, change=lambda stated: stated):
 @pytest.mark.parametrize("measured", [0.7, None])
 def test_the_training_family_is_kept_to_the_bit(tmp_path, measured):
     model = with_family(tmp_path / "model")
-    model.family = dataclasses.replace(model.family, recovered=measured, outdone=measured)
+    model.family = dataclasses.replace(
+        model.family, recovered=measured, outdone=measured, displaced=0.1
+    )
     save_model(tmp_path / "model", model)
     family = load_model(tmp_path / "model").family
     for name, value in vars(model.family).items():
@@ -160,10 +162,10 @@ def test_the_training_family_is_kept_to_the_bit(tmp_path, measured):
 
 
 def test_an_older_family_does_not_say_what_was_measured(tmp_path):
-    new = ("recovered", "outdone")
+    new = ("recovered", "outdone", "displaced")
     with_family(tmp_path / "model", lambda s: {k: v for k, v in s.items() if k not in new})
     family = load_model(tmp_path / "model").family
-    assert (family.recovered, family.outdone) == (None, None)
+    assert [getattr(family, name) for name in new] == [None] * 3
 
 
 def test_an_older_file_says_nothing_of_its_family():

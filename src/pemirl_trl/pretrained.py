@@ -186,7 +186,7 @@ def parse_family(content: Any, sizes: Mapping[str, Any], what: str) -> TrainingF
     Raises:
         ValueError: other fields, or other than finite numbers of these sizes; names ``what``.
     """
-    measured = ("recovered", "outdone")
+    measured = ("recovered", "outdone", "displaced")
     numbers: dict[str, tuple[type, ...]] = {"context_distance": (int, float)}
     numbers |= dict.fromkeys(measured, (int, float, type(None)))
     kinds = {f.name: numbers.get(f.name, list) for f in fields(TrainingFamily)}

@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from pemirl_trl import meta_train
-from pemirl_trl.methods.consistency import doubts, measured, outdone_share, recovered_share
+from pemirl_trl.methods.consistency import doubts, measured, recovered_share, sharpness
 from pemirl_trl.methods.environments import Episodes
 
 
@@ -23,7 +23,7 @@ def test_contexts_of_a_trained_model_are_recovered(trained, pile, make_env):
     share = recovered_share(trained, pile, Episodes(make_env, trained, pile), 0)
     assert 0.85 < share <= 1
     assert torch.equal(torch.get_rng_state(), state)
-    assert doubts(replace(trained.family, recovered=share, outdone=None)) == []
+    assert doubts(replace(trained.family, recovered=share, outdone=None, displaced=None)) == []
 
 
 def test_those_of_a_policy_that_does_not_care_are_not(trained, pile, make_env):
@@ -31,10 +31,10 @@ def test_those_of_a_policy_that_does_not_care_are_not(trained, pile, make_env):
     other.policy = trained.new_policy()
     share = recovered_share(other, pile, Episodes(make_env, other, pile), 0)
     assert share < 0.5
-    (doubt,) = doubts(replace(trained.family, recovered=share, outdone=None))
+    (doubt,) = doubts(replace(trained.family, recovered=share, outdone=None, displaced=None))
     assert "of a context is typically recovered; below 0.85 is a sign" in doubt
     assert "rewards of this model are likely wrong" in doubt
-    (doubt,) = doubts(replace(trained.family, recovered=share, outdone=0.01))
+    (doubt,) = doubts(replace(trained.family, recovered=share, outdone=0.01, displaced=0.1))
     assert "a new policy may do well" in doubt
 
 
@@ -62,24 +62,31 @@ def test_a_demonstration_is_outdone_by_those_that_lie_nearer_to_the_maximum(trai
     other.reward = Beside(contexts, rests.unsqueeze(1), off)
     gap = (rests.unsqueeze(0) - rests.unsqueeze(1) - off).abs()  # [reward, demonstration]
     nearer = (gap <= gap.diagonal().unsqueeze(1)).sum(1) - 1
-    assert outdone_share(other, still) == pytest.approx(float(nearer.float().mean() / 59))
-    assert (outdone_share(other, still) > 0.035) == (off > 0)
+    found = sharpness(other, still)
+    assert found.outdone == pytest.approx(float(nearer.float().mean() / 59))
+    assert (found.outdone > 0.035) == (off > 0)
+    best = [sorted(range(60), key=lambda j, i=i: gap[i, j].item())[:5] for i in range(60)]
+    away = [(contexts[best[i]].mean(0) - contexts[i]).norm() for i in range(60)]
+    spread = contexts.var(0, correction=0).sum().sqrt()
+    assert found.displaced == pytest.approx(float(torch.stack(away).median() / spread), rel=1e-4)
 
 
 def test_a_reward_that_says_nothing_is_outdone_by_all(trained, pile):
     other = copy.deepcopy(trained)
     other.reward = Beside(torch.zeros(1, 2), torch.zeros(1, 1), 0.0)
     other.reward.reward = lambda observation, context: torch.zeros_like(observation[..., :1])
-    assert outdone_share(other, pile) == 1.0
+    assert sharpness(other, pile).outdone == 1.0
 
 
 def test_what_was_measured_is_said_with_what_is_good(trained):
-    family = replace(trained.family, recovered=0.95, outdone=0.1)
+    family = replace(trained.family, recovered=0.95, outdone=0.1, displaced=0.1)
     assert "0.95 of a context" in measured(family)
     assert "outdone by 10.0 % of the others (3.5 % or less: good)" in measured(family)
-    assert measured(replace(family, recovered=None, outdone=None)) == ""
-    (doubt,) = doubts(family)
-    assert "r is blunt, or highest beside what was shown" in doubt
+    assert measured(replace(family, recovered=None, outdone=None, displaced=None)) == ""
+    for sign in ({}, {"outdone": 0.01, "displaced": 0.5}):
+        (doubt,) = doubts(replace(family, **sign))
+        assert "r is blunt, or highest beside what was shown" in doubt
+    assert doubts(replace(family, outdone=0.01)) == []
 
 
 def test_meta_training_says_so(pile, make_env, few, caplog, monkeypatch):

@@ -176,9 +176,20 @@ def test_a_model_whose_contexts_did_not_say_tasks_is_said(trained, new, make_env
     few = {"rollouts": 12, "optimization": {"iterations": 1}}
     doubtful = copy.deepcopy(trained)
     for share, said in ((0.3, True), (trained.family.recovered, False), (None, False)):
-        doubtful.family = replace(trained.family, recovered=share, outdone=None)
+        doubtful.family = replace(trained.family, recovered=share, outdone=None, displaced=None)
         warnings = adapt(doubtful, new, make_env, **few).warnings
         assert any("(0.30 of a context is typically" in text for text in warnings) == said
+
+
+def test_episodes_that_begin_far_from_the_demonstrations_are_said(trained, new, make_env, caplog):
+    far = copy.deepcopy(new)
+    far.observation[:, 0] = 50.0
+    few = {"initial_policy": "fresh", "exploration": "wide"}
+    few |= {"rollouts": 8, "optimization": {"iterations": 1}}
+    for demonstrations, said in ((new, False), (far, True)):
+        caplog.clear()
+        adapt(trained, demonstrations, make_env, **few)
+        assert ("deviations outside of where demonstrations did" in caplog.text) == said
 
 
 def test_a_function_that_takes_no_seed_is_refused_in_words(trained, new, make_env):

@@ -11,6 +11,7 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper
+from torch import Tensor
 from torchrl.data.tensor_specs import ContinuousBox
 from torchrl.envs import (
     Compose,
@@ -28,6 +29,7 @@ from pemirl_trl.data import DemonstrationDataset
 from pemirl_trl.data.doctor import examine_actions
 from pemirl_trl.methods.requirements import check_environment, check_episodes
 from pemirl_trl.modules import PEMIRLModel
+from pemirl_trl.modules.family import FAR
 from pemirl_trl.transforms import (
     AbsorbingState,
     InferContext,
@@ -83,6 +85,7 @@ class Episodes:
             _warn_of_actions(env, demonstrations)
             actor = RandomPolicy(env.action_spec)
             rollouts = env.rollout(model.horizon, actor, break_when_any_done=False)
+            _warn_of_starts(rollouts["observation"][:, 0], demonstrations, model)
             self._limited = check_episodes(rollouts, model.horizon, absorbing=self._absorbing)
             env.close(raise_if_closed=False)
 
@@ -94,6 +97,22 @@ class Episodes:
     def _whole(self, num_envs: int, seed: int) -> EnvBase:
         env = _batched(self._make_env, num_envs, seed, self._horizon, self._observation_keys)
         return _transformed(env, AbsorbingState()) if self._absorbing else env
+
+
+def _warn_of_starts(
+    starts: Tensor, demonstrations: DemonstrationDataset, model: PEMIRLModel
+) -> None:
+    """Log starts ``[N, S]`` that are far from where demonstrations began."""
+    shown = demonstrations.observation[:, 0]
+    beyond = torch.maximum(shown.amin(0) - starts, starts - shown.amax(0)).clamp(min=0)
+    excess = (beyond / model.standardize.scale).amax(0)
+    if float(excess.max()) > FAR:
+        LOG.warning(
+            "episodes begin up to %.0f deviations outside of where demonstrations did (component "
+            "%d of the observation): is this their environment, in their units?",
+            float(excess.max()),
+            int(excess.argmax()),
+        )
 
 
 def _check_signature(make_env: MakeEnv) -> None:

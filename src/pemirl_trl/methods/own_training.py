@@ -13,7 +13,7 @@ import torch
 
 from pemirl_trl.configuration import present_device
 from pemirl_trl.data import DemonstrationDataset, examine
-from pemirl_trl.methods.consistency import doubts, measured, outdone_share, recovered_share
+from pemirl_trl.methods.consistency import doubts, measured, recovered_share, sharpness
 from pemirl_trl.methods.defaults import found_for_meta_training, meta_training_config, table
 from pemirl_trl.methods.early_ends import for_training
 from pemirl_trl.methods.environments import Episodes, MakeEnv
@@ -129,8 +129,8 @@ def meta_train_in_stages(
     model.family = training_family(model, demonstrations)
     if model.config.context_dim > 0:
         recovered = recovered_share(model, demonstrations, episodes, seed)
-        outdone = outdone_share(model, demonstrations)
-        model.family = replace(model.family, recovered=recovered, outdone=outdone)
+        told = sharpness(model, demonstrations)._asdict()
+        model.family = replace(model.family, recovered=recovered, **told)
         LOG.info("%s", measured(model.family))
         for doubt in doubts(model.family):
             LOG.warning("%s", doubt)

@@ -61,8 +61,8 @@ class TrainingFamily:
         context_distance: the largest distance in training, in deviations.
         low, high, deviation: ``[S]``, of the observations; a constant's deviation is that of the
             model's map of observations.
-        recovered, outdone: what was measured of the trained model without labels
-            (:func:`pemirl_trl.methods.consistency.recovered_share` and ``outdone_share``); None
+        recovered, outdone, displaced: what was measured of the trained model without labels
+            (``recovered_share`` and ``sharpness`` of ``pemirl_trl.methods.consistency``); None
             where that was not.
     """
 
@@ -74,6 +74,7 @@ class TrainingFamily:
     deviation: Tensor
     recovered: float | None = None
     outdone: float | None = None
+    displaced: float | None = None
 
     @classmethod
     def fit(cls, contexts: Tensor, observations: Tensor, deviation: Tensor) -> Self:
