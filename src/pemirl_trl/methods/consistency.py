@@ -142,10 +142,10 @@ def doubts(family: TrainingFamily) -> list[str]:
     if told is not None and told.blunt:
         found.append(
             f"under the reward of a demonstration {100 * told.outdone:.1f} % of the others earn as "
-            f"much as it does (above {100 * MOST_OUTDONE:g} % is a sign), and those that earn most are "
-            f"{told.displaced:.2f} deviations of m away (above {MOST_DISPLACED:g}): r is blunt, or "
-            "highest beside what was shown, and policies that are trained on it miss by as much. "
-            "A larger and faster r may be sharper: model.reward_hidden=[128,128] "
+            f"much as it does (above {100 * MOST_OUTDONE:g} % is a sign), and those that earn most "
+            f"are {told.displaced:.2f} deviations of m away (above {MOST_DISPLACED:g}): r is "
+            "blunt, or highest beside what was shown, and policies that are trained on it miss by "
+            "as much. A larger and faster r may be sharper: model.reward_hidden=[128,128] "
             "training.reward_lr=0.003 training.final_reward_lr=0.0003 (docs/faq.md)"
         )
     if family.recovered is not None and family.recovered < LEAST_RECOVERED:
