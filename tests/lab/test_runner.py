@@ -10,6 +10,7 @@ import torch
 
 from pemirl_lab.cli import COMMANDS
 from pemirl_lab.commands import quickstart
+from pemirl_lab.runner import OWN_TASK
 from pemirl_trl.methods import PEMIRL
 
 from .conftest import OWN
@@ -126,7 +127,9 @@ def test_every_command_has_help_under_its_line_of_the_list(command, here, capsys
         command(name, ["-h"])
     assert left.value.code == 0
     shown = capsys.readouterr().out
-    assert shown.startswith(f"pemirl {name}: {COMMANDS[name]}\n")
+    head = shown.splitlines()[0]
+    assert head.startswith(f"pemirl {name}: {COMMANDS[name]}")
+    assert (f"pemirl {name} env=my_module:make_env --help" in head) == (name in OWN_TASK)
     assert set(OWN[name].__dataclass_fields__) - {"seeds"} <= set(re.findall(r"^\w+", shown, re.M))
     assert list(here.iterdir()) == []
 
