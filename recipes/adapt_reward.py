@@ -7,8 +7,8 @@
     python recipes/adapt_reward.py model_file=M test_demonstrations=ONE env=my:make_env
 
 With ``env=`` it is an environment of your own, and the settings follow from the demonstrations; see
-``pemirl meta_train``. The start is chosen by short tries unless ``initial_policy=`` says it, and
-``adaptation.json`` tells what came out.
+``pemirl meta_train``. Short tries choose the start, unless ``initial_policy=`` says it, and how
+widely to explore, unless ``exploration=`` does; ``adaptation.json`` tells what came out.
 
 Writes ``policy.safetensors`` and the learning curve to ``run_dir``. Rewards are the learned ones;
 true returns, where the demonstrations come with their tasks, are metrics.
