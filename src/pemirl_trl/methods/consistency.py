@@ -22,8 +22,8 @@ one seed each)."""
 BEST = 5
 """Demonstrations that earn most, whose place in m is looked at."""
 MOST_OUTDONE, MOST_DISPLACED = 0.035, 0.28
-"""Eleven models whose rewards served had at most 0.028 and 0.26, or 0.04 and 0.17 where they served
-nearly; ten of two tasks that failed had 0.024 to 0.1 and 0.3 to 0.56 (docs/faq.md)."""
+"""Set on these: eight models whose rewards served had at most 0.028 and 0.26, two that nearly did
+0.04 and 0.17, thirteen of two tasks that failed at least 0.024 and 0.30 (docs/faq.md)."""
 SEED = 200_003
 """Added to the seed: the episodes are none of training's."""
 
