@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import importlib
-import inspect
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
@@ -20,6 +19,7 @@ from yaml import YAMLError
 from pemirl_lab.runs.run_folder import RunFolder
 from pemirl_trl import DemonstrationDataset
 from pemirl_trl.configuration import CHECKED, Count, Device, SeedNumber, typed
+from pemirl_trl.methods.environments import check_signature
 
 Values = TypeVar("Values")
 
@@ -129,11 +129,9 @@ def load_make_env(name: str) -> Callable[[int, int], Any]:
     """
     make_env = load_function(name, "env", "make_env")
     try:
-        inspect.signature(make_env).bind(1, 0)
+        check_signature(make_env, name.partition(":")[2])
     except TypeError as error:
-        raise ValueError(
-            f"env={name}: {error}; it is called as {name.partition(':')[2]}(num_envs, seed)"
-        ) from error
+        raise ValueError(f"env={name}: {error}") from error
     return make_env
 
 

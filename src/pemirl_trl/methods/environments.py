@@ -74,7 +74,7 @@ class Episodes:
         *,
         observation_keys: Sequence[str] | None = None,
     ) -> None:
-        _check_signature(make_env)
+        check_signature(make_env)
         self._make_env, self._horizon = make_env, model.horizon
         self._absorbing = model.config.absorbing
         self._observation_keys = observation_keys
@@ -115,13 +115,12 @@ def _warn_of_starts(
         )
 
 
-def _check_signature(make_env: MakeEnv) -> None:
+def check_signature(make_env: Callable[..., Any], name: str = "make_env") -> None:
+    """Raise TypeError unless it can be called with a number and a seed; ``name`` is for that."""
     try:
         inspect.signature(make_env).bind(1, 0)
     except TypeError as error:
-        raise TypeError(
-            f"got make_env={make_env!r}: {error}; it is called as make_env(num_envs, seed)"
-        ) from error
+        raise TypeError(f"{error}; it is called as {name}(num_envs, seed)") from error
 
 
 def _warn_of_actions(env: EnvBase, demonstrations: DemonstrationDataset) -> None:
