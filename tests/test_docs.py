@@ -13,6 +13,7 @@ from hydra.errors import HydraException
 
 import pemirl_envs
 from pemirl_lab.cli import COMMANDS, OTHERS
+from pemirl_lab.runner import OWN_TASK
 from pemirl_lab.runs.composition import compose, plain
 from pemirl_lab.runs.own_task import is_own, parse_words
 from pemirl_lab.runs.settings import parse
@@ -86,8 +87,9 @@ def check(words):
     command, *given = words
     assert command in COMMANDS, f"no command {command}"
     if is_own(given):  # on an environment of the user's own
-        if {"--help", "--cfg"} & {*given}:
-            return
+        assert command in OWN_TASK
+        if given[1:] == ["--help"]:
+            return  # env= alone: no value is missing that the help would not name
         module = importlib.import_module(f"pemirl_lab.commands.{command}")
         parse_words(given, module.OwnEnvironment, rest=True)
         return
@@ -115,6 +117,8 @@ def test_a_command_on_a_page_can_be_run(words):
     ("words", "message"),
     [
         (("train", "task=ant"), "no command train"),
+        (("evaluate", "env=my_module:make_env", "--help"), "OWN_TASK|assert"),
+        (("meta_train", "env=my_module:make_env", "run_dir=R"), "missing demonstrations"),
         (("meta_train", "training.nothing=1"), "nothing"),
         (("quickstart", "method=airl"), "experiment=point_maze is task=point_maze"),
         (("reproduce", "row=nothing"), "has no row 'nothing'"),
