@@ -63,9 +63,8 @@ def main() -> None:
     """Entry point of the console command."""
     arguments = sys.argv[1:]
     if {"-h", "--help"} & set(arguments) and hasattr(signal, "SIGPIPE"):
-        signal.signal(
-            signal.SIGPIPE, signal.SIG_DFL
-        )  # help into a pager that is left, no traceback
+        # Help into a pager that is left ends, without a traceback.
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     if not arguments or arguments[0] in ("-h", "--help"):
         sys.stdout.write(usage())
     elif arguments[0] == "--version":

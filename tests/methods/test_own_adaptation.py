@@ -110,7 +110,7 @@ def test_a_policy_that_acts_much_harder_than_was_demonstrated_is_said(trained, n
         training = policy_training.PolicyTraining(
             *(trained, demonstrations, episodes, lambda *stage: None), AdaptationConfig(), 0
         )
-        return training.hard_actions(trained.policy)
+        return training.doubts(trained.policy)
 
     assert said(new) == []
     gentle = copy.deepcopy(new)
@@ -118,8 +118,19 @@ def test_a_policy_that_acts_much_harder_than_was_demonstrated_is_said(trained, n
     (warning,) = said(gentle)
     ratio = float(warning.split(" times")[0].split()[-1])
     assert 2.5 < ratio < 6
-    states = replace(new, action=new.action[..., :0])
-    assert said(states) == []
+    # Padding, in which nobody acts, makes nobody gentle: constant actions, half of them recorded.
+    constant = replace(new, action=torch.ones_like(new.action))
+    cut = torch.full((len(new),), 5)
+    padded = replace(constant, length=cut, terminated=torch.zeros(len(new), dtype=torch.bool))
+    padded.action[:, 5:] = 0.0
+    episodes = policy_training.Episodes(make_env, trained, new, 0)
+    training = policy_training.PolicyTraining(
+        *(trained, new, episodes, lambda *stage: None), AdaptationConfig(), 0
+    )
+    training.doubts(trained.policy)  # looks at the environment's actions
+    training.demonstrations = padded
+    acting = TensorDict({"action": torch.ones(4, 10, 1)}, [4, 10])
+    assert training.hard_actions(acting) == []
 
 
 def test_policies_are_compared_in_the_same_episodes(trained, new, make_env):

@@ -182,7 +182,7 @@ def adapt_in_stages(
             f"carried over {carried_return:.2f}: the latter is returned. More iterations, or "
             "another deviation (policy_scale), may help"
         )
-    warnings += [*train.far_states(policy), *train.hard_actions(policy)]
+    warnings += train.doubts(policy)
     return Adaptation(
         policy=policy,
         activation=activation,

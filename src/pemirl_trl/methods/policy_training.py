@@ -21,6 +21,7 @@ from pemirl_trl.modules import PEMIRLModel
 from pemirl_trl.modules.action_cost import squared_action
 from pemirl_trl.modules.family import FAR
 from pemirl_trl.modules.model import Policy
+from pemirl_trl.modules.reading import acted_steps
 from pemirl_trl.transforms import InferContext
 
 JUDGED_EPISODES = 100
@@ -33,7 +34,7 @@ FAR_SHARE = 0.05
 
 HARD = 1.5
 """Times the demonstrator's squared actions from which a policy's are worth a word (docs/proofs.md:
-the two tasks on which a cost of actions was missing had 1.9 and 5)."""
+the two tasks on which a cost of actions was missing had 1.9 and 4.5)."""
 
 
 class PolicyTraining:
@@ -141,12 +142,17 @@ class PolicyTraining:
     def _each(self) -> list[DemonstrationDataset]:
         return [self.demonstrations[i] for i in range(len(self.demonstrations))]
 
-    def far_states(self, policy: Policy) -> list[str]:
+    def doubts(self, policy: Policy) -> list[str]:
+        """Warnings of what a policy does in the episodes that are common to all."""
+        rollouts = self._rollouts(policy)
+        return [*self._far_states(rollouts), *self.hard_actions(rollouts)]
+
+    def _far_states(self, rollouts: TensorDictBase) -> list[str]:
         """A warning where a policy takes r far from anything it was trained on."""
         family, features = self.model.family, self.model.config.reward_features
         if family is None:
             return []
-        excess = family.excess(self._rollouts(policy)["observation"])
+        excess = family.excess(rollouts["observation"])
         read = [*range(excess.shape[-1])] if features is None else list(features)
         excess = excess[..., read].flatten(0, -2)
         share = float((excess.amax(-1) > FAR).float().mean())
@@ -160,20 +166,17 @@ class PolicyTraining:
             "observation): r was not trained there"
         ]
 
-    def hard_actions(self, policy: Policy) -> list[str]:
+    def hard_actions(self, rollouts: TensorDictBase) -> list[str]:
         """A word where a policy acts much harder than the demonstrator did; of choices, none."""
-        demonstrated = self.demonstrations
-        if demonstrated.action_dim == 0:
-            return []
-        rollouts = self._rollouts(policy)
-        space = self._action_space  # of the environment that has just rolled out
-        if not isinstance(space, ContinuousBox):
+        demonstrated, space = self.demonstrations, self._action_space
+        if demonstrated.action_dim == 0 or not isinstance(space, ContinuousBox):
             return []
         bounds = (space.low[0], space.high[0])
-        spent, shown = (
-            squared_action(each["action"], bounds, each.get("absorbing", None)).sum(1).mean()
-            for each in (rollouts, demonstrated.trajectories())
-        )
+        sizes = []
+        for steps in (rollouts, demonstrated.trajectories()):
+            squares, acted = squared_action(steps["action"], bounds), acted_steps(steps)
+            sizes.append((squares if acted is None else squares[acted]).mean())
+        spent, shown = sizes
         ratio = float(spent / shown.clamp(min=1e-12))
         if ratio <= HARD:
             return []
